@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from xfreqbench.system.kernels import entry
 from xfreqbench.types import NDArray
 
 F32 = NDArray[np.float32]
 
 
-@njit(cache=True, fastmath={"contract", "reassoc"})
+@entry(fastmath={"contract", "reassoc"})
 def sum_rows(table: F32, rows: NDArray[np.int64], weight: F32) -> F32:
     """Σ_k weight[n, k] · table[rows[n, k]] for all n: (n, C), of a table (R, C) and rows and weights (n, K)."""
     total = np.zeros((len(rows), table.shape[1]), np.float32)
@@ -21,7 +21,7 @@ def sum_rows(table: F32, rows: NDArray[np.int64], weight: F32) -> F32:
     return total
 
 
-@njit(cache=True, fastmath={"contract", "reassoc"})
+@entry(fastmath={"contract", "reassoc"})
 def slopes_of_rows(table: F32, rows: NDArray[np.int64], weight: F32, slope: F32) -> tuple[F32, F32]:
     """The slopes by the table and by the weights, from those by the sums of `sum_rows` (n, C)."""
     of_table, of_weight = np.zeros_like(table), np.zeros_like(weight)
