@@ -108,17 +108,17 @@ class TrainingTransmitters:
     def sums(self, asked: Iterable[WeightedRows]) -> Float[NDArray[np.float32], "B E A"]:
         """Weighted sums of training maps, each scaled to peak 1, for the rows and weights of B queries.
 
-        What neighbouring queries share is read, and summed, once.
+        Maps of several queries are read at once, and what neighbouring queries share is summed once.
         """
+        queries, before = list(asked), None
         maps: dict[int, Float[NDArray[np.float32], "E A"]] = {}
         summed: list[Float[NDArray[np.float32], "E A"]] = []
-        before: WeightedRows | None = None
-        for rows, weights in asked:
+        for nth, (rows, weights) in enumerate(queries):
             if before is None or not all(map(np.array_equal, before, (rows, weights))):
-                missing = [row for row in rows.tolist() if row not in maps]
-                if len(maps) + len(missing) > _MOST_MAPS:
-                    maps, missing = {}, rows.tolist()
-                maps.update(zip(missing, self.train.pas(missing), strict=True))
+                if not maps.keys() >= {*rows.tolist()}:
+                    coming = dict.fromkeys(row for others, _ in queries[nth:] for row in others.tolist())
+                    at_once = list(coming)[: max(_MOST_MAPS, len(rows))]
+                    maps = dict(zip(at_once, self.train.pas(at_once), strict=True))
                 total = np.zeros(self.train.grid.shape, np.float32)
                 for row, weight in zip(rows.tolist(), weights.astype(np.float32), strict=True):
                     total += weight * maps[row]

@@ -7,6 +7,7 @@ import operator
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from inspect import unwrap
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -129,6 +130,7 @@ class Training:
     generator: torch.Generator
     beams: Beams
     kind: PasKind
+    parameters: list[nn.Parameter]  # of the field after the last step
     mean: AveragedModel | None = None  # of the field's weights over steps
     step: int = 0
     share: float = 0.0  # of the budget spent, as last told
@@ -302,7 +304,8 @@ class LearnedMethod:
     ) -> Training:
         """A training that has made no step, on the device."""
         field.to(self._device)
-        return Training(field, self.new_optimizer(field), generator, Beams(beam, self._device), kind)
+        beams, parameters = Beams(beam, self._device), list(field.parameters())
+        return Training(field, self.new_optimizer(field), generator, beams, kind, parameters)
 
     def new_optimizer(self, field: ChannelField) -> torch.optim.Adam:
         """Adam for the field's parameters, without any moments yet."""
@@ -373,7 +376,7 @@ class LearnedMethod:
 
     def _step(self, training: Training, targets: Targets) -> float:
         """Make one step; return the loss before it."""
-        share, before = training.share, list(training.field.parameters())
+        share, before = training.share, training.parameters
         if self._is_capturable(training, targets):
             _set_rates(training)
             loss = self._replayed(training, targets)
@@ -381,11 +384,11 @@ class LearnedMethod:
             loss = self.batch_loss(training, targets)
             _set_rates(training)  # of what may be another optimiser by now
             training.step += 1
-            parameters, norm = _gradients(training.field, loss)
+            parameters, norm = _gradients(training.optimizer, loss)
             _require_finite(training, loss, norm)
             _update(training, parameters, norm)
         training.field.after_step(training.optimizer, training.step, share)
-        now = list(training.field.parameters())
+        training.parameters = now = list(training.field.parameters())
         is_same = len(before) == len(now) and all(map(operator.is_, before, now))
         if not is_same:
             training.graph = None
@@ -405,7 +408,7 @@ class LearnedMethod:
 
             def step(*inputs: Tensor) -> tuple[Tensor, Tensor]:
                 loss = self._loss_of_rows(training, targets, view, *inputs)
-                parameters, norm = _gradients(training.field, loss)
+                parameters, norm = _gradients(training.optimizer, loss)
                 _update(training, parameters, norm)
                 return loss.detach(), norm
 
@@ -428,11 +431,14 @@ def mean_weights(model: nn.Module, kept: float) -> AveragedModel:
 
 def averaged(mean: AveragedModel | None, model: nn.Module, kept: float) -> AveragedModel:
     """The mean after another step; it begins anew where there is none, or where the model has other sizes."""
-    sizes = {name: value.shape for name, value in model.state_dict().items()}
-    if mean is None or sizes != {name: value.shape for name, value in mean.module.state_dict().items()}:
+    if mean is None or _sizes(mean.module) != _sizes(model):
         mean = mean_weights(model, kept)
     mean.update_parameters(model)
     return mean
+
+
+def _sizes(model: nn.Module) -> list[torch.Size]:
+    return [value.shape for value in chain(model.parameters(), model.buffers())]
 
 
 def _set_rates(training: Training) -> None:
@@ -445,11 +451,13 @@ def _set_rates(training: Training) -> None:
             group["lr"] = group["initial_lr"] * rate
 
 
-def _gradients(field: ChannelField, loss: Tensor) -> tuple[list[nn.Parameter], Tensor]:
-    """The parameters that the loss has a gradient by, and the norm of all gradients together."""
-    field.zero_grad(set_to_none=True)
+def _gradients(optimizer: torch.optim.Adam, loss: Tensor) -> tuple[list[nn.Parameter], Tensor]:
+    """The optimised parameters that the loss has a gradient by, and the norm of all gradients together."""
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+    for parameter in parameters:
+        parameter.grad = None
     loss.backward()
-    parameters = [parameter for parameter in field.parameters() if parameter.grad is not None]
+    parameters = [parameter for parameter in parameters if parameter.grad is not None]
     return parameters, nn.utils.get_total_norm(
         [parameter.grad for parameter in parameters if parameter.grad is not None]
     )
