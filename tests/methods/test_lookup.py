@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError
+from xfreqbench.methods import lookup
 from xfreqbench.methods.lookup import TrainingTransmitters
 
 
@@ -22,6 +24,26 @@ def train(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 def test_only_positions_of_training_transmitters_are_known(train: PasDataset) -> None:
     positions = np.stack([train.tx_position_m[0], train.tx_position_m[0] + [1e-3, 0, 0]])
     np.testing.assert_array_equal(TrainingTransmitters(train).knows(positions), [True, False])
+
+
+@pytest.mark.parametrize(("most", "reads"), [(512, 1), (4, 2), (1, 3)])
+def test_maps_of_several_queries_are_read_at_once(
+    train: PasDataset, monkeypatch: pytest.MonkeyPatch, most: int, reads: int
+) -> None:
+    asked = [(np.array(rows), np.arange(1.0, len(rows) + 1)) for rows in ([0, 1], [1, 2], [1, 2], [3, 4, 0])]
+    sums = [weights @ train.pas(rows).reshape(len(rows), -1) for rows, weights in asked]
+    read, original = [], PasDataset.pas
+
+    def counted(dataset: PasDataset, rows: Any) -> Any:
+        read.append(rows)
+        return original(dataset, rows)
+
+    monkeypatch.setattr(PasDataset, "pas", counted)
+    monkeypatch.setattr(lookup, "_MOST_MAPS", most)
+    found = TrainingTransmitters(train).sums(iter(asked))
+    assert len(read) == reads
+    for map_, total in zip(found, sums, strict=True):
+        np.testing.assert_allclose(map_.ravel(), total / total.max(), rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("stored", [None, "", "[]", '["a.h5", "b"]', '["a.h5", "b", [-1]]', '["a.h5", "b", "c"]'])
