@@ -9,17 +9,19 @@ from typing_extensions import Doc
 
 from xfreqbench.methods.learning.aperture import ApertureField
 from xfreqbench.methods.learning.network import NetworkConfig
-from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod, TrainingConfig
+from xfreqbench.methods.learning.training import ChannelField, Count, LearnedMethod, Positive, TrainingConfig
 
 from .trivial import TRIVIAL
 
 
 @dataclass(frozen=True)
 class ApertureGSConfig(NetworkConfig, TrainingConfig):
-    """Options. There are fewer Gaussians than a renderer of pixels needs."""
+    """Options. There are fewer Gaussians than a renderer of pixels needs, and a step sees more maps."""
 
     num_gaussians: Annotated[Count, Doc("Gaussians, which add up at the array's elements")] = 128
     modes: Annotated[Count, Doc("channels whose powers add up")] = 4
+    batch_size: Count = 64
+    learning_rate: Positive = 4e-3
     blend: Literal["auto", "none"] = "auto"
 
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
 import torch
 from jaxtyping import Complex, Float
 from numpy.polynomial import Legendre, Polynomial
@@ -37,42 +38,58 @@ class GSRFConfig(GaussianConfig, SplatTrainingConfig):
 
 
 class FourierLegendre(nn.Module):
-    """B_lm(d) = N_lm P_l^|m|(cos θ) e^{jmα}, in the order l² + l + m: spherical harmonics up to a degree.
+    """Σ c_lm B_lm(d) with B_lm(d) = N_lm P_l^|m|(cos θ) e^{jmα}, in the order l² + l + m, up to a degree.
 
-    Signs are those of `scipy.special.sph_harm_y`. (sin θ)^|m| e^{jmα} is computed as (x ± jy)^|m|, which holds at the
-    poles too. `degree` is the highest degree that the series has at present.
+    These are the spherical harmonics, with the signs of `scipy.special.sph_harm_y`. (sin θ)^|m| e^{jmα} is computed
+    as (x ± jy)^|m|, which holds at the poles too, and the sum as one of real polynomials z^k Re (x + jy)^m and
+    z^k Im (x + jy)^m. `degree` is the highest degree that the series has at present.
     """
 
     degree: Tensor
-    of_powers: Tensor  # (powers of z, functions)
+    of_polynomials: Tensor  # (C, C), complex: each function in the polynomials
+    degrees: Tensor  # (C,): of each function
 
     def __init__(self, max_degree: int) -> None:
         super().__init__()
         self.max_degree = max_degree
         self.terms = [(degree, order) for degree in range(max_degree + 1) for order in range(-degree, degree + 1)]
-        columns = [_in_powers_of_z(*term, max_degree) for term in self.terms]
-        self.register_buffer("of_powers", torch.tensor(columns).T, persistent=False)
+        rows = [_in_polynomials(*term, max_degree) for term in self.terms]
+        self.register_buffer("of_polynomials", torch.tensor(rows, dtype=torch.complex64), persistent=False)
+        self.register_buffer("degrees", torch.tensor([degree for degree, _ in self.terms]), persistent=False)
         self.register_buffer("degree", torch.tensor(0))
 
-    def forward(self, direction: Float[Tensor, "... 3"]) -> Complex[Tensor, "... C"]:
-        """All C functions at unit vectors; those beyond the present degree are zero."""
-        x, y, z = direction.unbind(-1)
-        powers, turns = [torch.ones_like(z)], [torch.complex(torch.ones_like(x), torch.zeros_like(y))]
+    def forward(self, direction: Float[Tensor, "V 3 B"], coefficient: Complex[Tensor, "V C"]) -> Complex[Tensor, "V B"]:
+        """The series of V rows of coefficients at unit vectors; functions beyond the present degree are left out."""
+        x, y, z = direction.unbind(1)
+        real, imaginary, powers = torch.ones_like(z), torch.zeros_like(z), [torch.ones_like(z)]
         for _ in range(self.max_degree):
             powers.append(powers[-1] * z)
-            turns.append(turns[-1] * torch.complex(x, y))
-        around = [turns[order] if order >= 0 else turns[-order].conj() for _, order in self.terms]
-        present = torch.tensor([degree for degree, _ in self.terms], device=z.device) <= self.degree
-        return (torch.stack(powers, dim=-1) @ (self.of_powers * present)) * torch.stack(around, dim=-1)
+        height = torch.stack(powers, dim=1)
+        polynomials = [height]
+        for order in range(1, self.max_degree + 1):
+            real, imaginary = real * x - imaginary * y, real * y + imaginary * x
+            polynomials += [part[:, None] * height[:, :-order] for part in (real, imaginary)]
+        weight = (coefficient * (self.degrees <= self.degree)) @ self.of_polynomials.to(coefficient)
+        parts = torch.view_as_real(weight).mT @ torch.cat(polynomials, dim=1)
+        return torch.complex(parts[:, 0], parts[:, 1])
 
 
-def _in_powers_of_z(degree: int, order: int, max_degree: int) -> list[float]:
-    """Coefficients of N_lm d^|m| P_l / dz^|m| in powers of z, with the sign of Condon and Shortley."""
+def _in_polynomials(degree: int, order: int, max_degree: int) -> list[complex]:
+    """Coefficients of B_lm in z^k, then for m = 1, 2, … in z^k Re (x + jy)^m and in z^k Im (x + jy)^m, k ≤ L − m.
+
+    With the sign of Condon and Shortley, they are those of N_lm d^|m| P_l / dz^|m| in powers of z.
+    """
     turns = abs(order)
     ratio = math.factorial(degree - turns) / math.factorial(degree + turns)
     norm = math.sqrt((2 * degree + 1) / (4 * math.pi) * ratio) * (-1) ** max(order, 0)
-    coefficients = Legendre.basis(degree).deriv(turns).convert(kind=Polynomial).coef * norm
-    return [*coefficients.tolist(), *[0.0] * (max_degree + 1 - len(coefficients))]
+    in_powers = Legendre.basis(degree).deriv(turns).convert(kind=Polynomial).coef * norm
+    row = []
+    for m in range(max_degree + 1):
+        column = np.zeros(max_degree + 1 - m)
+        if m == turns:
+            column[: len(in_powers)] = in_powers
+        row += [*column] if not m else [*column, *math.copysign(1, order) * 1j * column]
+    return row
 
 
 class RadiatingGaussians(RFGaussians):
@@ -127,9 +144,8 @@ class GSRFField(GaussianField):
     def attributes(self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], seen: Seen) -> Attributes:
         """Signal and attenuation of the Gaussians `seen`, the same at every carrier."""
         tx_m = self.scaling.in_frame(tx_position_m)
-        direction = normalize(self.position_m[seen] - tx_m[:, None], dim=-1)
-        coefficient = torch.view_as_complex(self.gaussians.coefficient[seen])
-        signal = (self.network(direction) * coefficient).sum(-1).T
+        direction = normalize(self.position_m[seen][..., None] - tx_m.T, dim=1)
+        signal = self.network(direction, torch.view_as_complex(self.gaussians.coefficient[seen]))
         attenuation = torch.sigmoid(self.gaussians.attenuation_logit[seen])[:, None].expand(signal.shape)
         transmitted = torch.complex(1 - attenuation, torch.zeros_like(attenuation))
         return Attributes((attenuation * signal)[None], transmitted, torch.ones_like(attenuation))

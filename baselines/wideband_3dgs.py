@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from pydantic import Field as Limits
 from torch import Tensor, nn
-from torch.nn.functional import linear, relu, softplus
+from torch.nn.functional import linear, pad, relu, softplus
 from typing_extensions import Doc
 
 from xfreqbench.data.dataset import PasDataset
@@ -81,8 +81,8 @@ class FeatureNetwork(nn.Module):
             weight, bias = (parameter.to(kind) for parameter in layer.parameters())
             outputs = linear(feature, weight, bias)
             if depth == len(self.layers) // 2:
-                outputs = torch.addmm(outputs, gated, self.skip.weight.T.to(kind))
-            feature = relu(outputs)
+                outputs.addmm_(gated, self.skip.weight.T.to(kind))
+            feature = relu(outputs, inplace=True)
         return feature.unflatten(0, (len(place), len(carrier)))
 
     def _with_view(
@@ -95,17 +95,18 @@ class FeatureNetwork(nn.Module):
     ) -> Float[Tensor, "V B W"]:
         """The first layer: the parts of places and queries, and the view, encoded `place` − `query`, times weights.
 
-        Sines and cosines of differences are sums of products, so that the view's part is one product of matrices.
+        Sines and cosines of differences are sums of products, so that the view's part is one product of matrices,
+        with one more column for the queries' part.
         """
         octaves, kind = self.config.octaves, of_place.dtype
         parts = [3, 3 * octaves, 3 * octaves]
         straight, of_sine, of_cosine = weight.split(parts, dim=1)
         _, sine, cosine = (part[:, None] for part in positional_encoding(query, octaves).split(parts, dim=1))
         turned = [sine * of_cosine + cosine * of_sine, cosine * of_cosine - sine * of_sine]
-        of_view = torch.cat([straight.expand(len(query), -1, -1), *turned], dim=-1).flatten(0, 1)
-        added = of_place + (of_query - query @ straight.T).to(kind)
-        encoded = positional_encoding(place, octaves).to(kind)
-        return torch.addmm(added.flatten(1), encoded, of_view.T.to(kind)).view_as(added)
+        shift = (of_query - query @ straight.T)[..., None]
+        of_view = torch.cat([straight.expand(len(query), -1, -1), *turned, shift], dim=-1).flatten(0, 1)
+        encoded = pad(positional_encoding(place, octaves), (0, 1), value=1.0).to(kind)
+        return torch.addmm(of_place.flatten(1), encoded, of_view.T.to(kind)).view_as(of_place)
 
 
 class OpaqueGaussians(RFGaussians):

@@ -66,16 +66,17 @@ def test_the_series_is_scipys_spherical_harmonics() -> None:
     polar_rad = np.arccos(direction[:, 2].numpy())
     azimuth_rad = np.arctan2(direction[:, 1].numpy(), direction[:, 0].numpy())
     expected = [sph_harm_y(degree, order, polar_rad, azimuth_rad) for degree, order in series.terms]
-    found = series(direction).numpy()
-    # the polynomials' coefficients are float32
-    np.testing.assert_allclose(found, np.stack(expected, axis=-1), rtol=0, atol=1e-6)
+    # row n of the coefficients has function n alone, and the polynomials' coefficients are float32
+    found = series(direction.T.expand(25, 3, -1), torch.eye(25, dtype=torch.complex128)).numpy()
+    np.testing.assert_allclose(found, np.stack(expected), rtol=0, atol=1e-6)
 
 
 def test_functions_beyond_the_present_degree_are_silent() -> None:
     series = FourierLegendre(3)
     for degree in range(4):
         series.degree.fill_(degree)
-        values = series(normalize(torch.tensor([[1.0, 2.0, 3.0]]), dim=-1))[0]
+        direction = normalize(torch.tensor([1.0, 2.0, 3.0]), dim=0)
+        values = series(direction.expand(16, 1, 3).mT, torch.eye(16, dtype=torch.complex64))[:, 0]
         assert int((values != 0).sum()) == (degree + 1) ** 2
 
 

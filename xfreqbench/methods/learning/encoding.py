@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import torch
@@ -19,8 +20,13 @@ _MARGIN = 0.1
 
 def positional_encoding(x: Float[Tensor, "... D"], num_octaves: int) -> Float[Tensor, "... C"]:
     """x, then sin(2^k π x) and cos(2^k π x) for k < num_octaves: C = D (1 + 2 num_octaves)."""
-    angle = x[..., None, :] * (math.pi * 2.0 ** torch.arange(num_octaves, device=x.device))[:, None]
+    angle = x[..., None, :] * _frequencies(num_octaves, x.device)
     return torch.cat([x, angle.sin().flatten(-2), angle.cos().flatten(-2)], dim=-1)
+
+
+@cache
+def _frequencies(num_octaves: int, device: torch.device) -> Float[Tensor, "K 1"]:
+    return (math.pi * 2.0 ** torch.arange(num_octaves, device=device))[:, None]
 
 
 def encoded_size(num_inputs: int, num_octaves: int) -> int:

@@ -26,7 +26,6 @@ from xfreqbench.methods.learning.encoding import (
 
 Precision = Literal["auto", "float32", "bfloat16"]
 
-_BITS = {2: torch.int16, 4: torch.int32, 8: torch.int64}  # as wide as a kind of number, in bytes
 _CLEAR = 2.0  # logit of |δ| at the start, 0.88, so that Gaussians behind are seen
 _BEARING_WIDTHS = (0.005, 0.02, 0.1)  # of 1 − cos: about 6, 11 and 26 degrees
 BEARING_SIZE = 1 + len(_BEARING_WIDTHS)
@@ -82,7 +81,7 @@ class PairwiseMLP(nn.Module):
         return torch.bfloat16 if is_narrow(self.precision, query.device) else query.dtype
 
     def after_first(self, first: Float[Tensor, "B V W"]) -> Float[Tensor, "B V O"]:
-        """Outputs for pairs whose first layer is given, before its ReLU."""
+        """Outputs for pairs whose first layer is given, before its ReLU, which overwrites it."""
         parameters = [each for layer in (*self.hidden, self.head) for each in (layer.weight, layer.bias)]
         outputs: Tensor = _Layers.apply(first.flatten(0, 1), *parameters)  # type: ignore[no-untyped-call]
         return outputs.unflatten(0, first.shape[:2])
@@ -92,6 +91,7 @@ class _Layers(torch.autograd.Function):
     """Outputs (P, O) of pairs whose first layer is given (P, W), before its ReLU, by layers of weights and biases.
 
     All is in the kind of `first`, in one pass without the casts and copies of autocast; gradients are the weights'.
+    `first` is overwritten: no one else needs it, and fresh memory costs more than the sum itself.
     """
 
     @staticmethod
@@ -99,9 +99,9 @@ class _Layers(torch.autograd.Function):
         ctx.parameters = [parameter.to(first.dtype) for parameter in parameters]
         ctx.kinds = [parameter.dtype for parameter in parameters]
         weights, biases = ctx.parameters[::2], ctx.parameters[1::2]
-        ctx.features = [relu(first)]
+        ctx.features = [relu(first, inplace=True)]
         for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-            ctx.features.append(relu(torch.addmm(bias, ctx.features[-1], weight.T), inplace=True))
+            ctx.features.append(_hidden(ctx.features[-1], weight, bias))
         return torch.addmm(biases[-1], ctx.features[-1], weights[-1].T)
 
     @staticmethod
@@ -111,9 +111,16 @@ class _Layers(torch.autograd.Function):
         for weight, features in zip(reversed(ctx.parameters[::2]), reversed(ctx.features), strict=True):
             gradients[:0] = slope.T @ features, slope.sum(0)
             slope = slope @ weight
-            bits = _BITS[slope.itemsize]  # as whole numbers, features of 0 are 0 and others at least 1
-            slope.view(bits).mul_(features.view(bits).clamp(max=1))
+            torch.ops.aten.threshold_backward.grad_input(slope, features, 0, grad_input=slope)
         return slope, *(each.to(kind) for each, kind in zip(gradients, ctx.kinds, strict=True))
+
+
+def _hidden(features: Float[Tensor, "P W"], weight: Float[Tensor, "V W"], bias: Float[Tensor, "V"]) -> Tensor:
+    """ReLU of a layer (P, V). In bfloat16 on a CPU it is one pass; `addmm` copies the bias to all rows first."""
+    if features.dtype == torch.bfloat16 and features.device.type == "cpu" and torch.backends.mkldnn.is_available():
+        fused: Tensor = torch.ops.mkldnn._linear_pointwise(features, weight, bias, "relu", [], "")
+        return fused
+    return relu(torch.addmm(bias, features, weight.T), inplace=True)
 
 
 def is_narrow(precision: Precision, device: torch.device) -> bool:
@@ -204,7 +211,7 @@ class WideFreqNetwork(nn.Module):
         if self.config.latent:
             weights = self.of_carrier(carrier).reshape(len(carrier), self.config.latent, -1)
             modulated = modulated + latent @ weights
-        return self._attributes(modulated.permute(2, 1, 0), spread[..., 0].T)
+        return self._attributes(modulated, spread[..., 0].T)
 
     def parameter_groups(self, learning_rate: float) -> list[dict[str, Any]]:
         """Parameters with their learning rates; features of places learn faster, because few transmitters use each."""
@@ -216,11 +223,12 @@ class WideFreqNetwork(nn.Module):
             return self.scaling.log_band.new_zeros(len(carrier_hz), 0, dtype=torch.float32)
         return positional_encoding(self.scaling.unit_carrier(carrier_hz), self.config.carrier_octaves)
 
-    def _attributes(self, modulated: Float[Tensor, "A V B"], spread: Float[Tensor, "V B"]) -> Attributes:
-        """Attributes from the network's outputs: rows of attenuation and signals, and the spread."""
-        attenuation, phase = modulated[:2]
+    def _attributes(self, modulated: Float[Tensor, "B V A"], spread: Float[Tensor, "V B"]) -> Attributes:
+        """Attributes from the network's outputs: attenuation and signals, and the spread."""
+        attenuation, phase = modulated[..., :2].permute(2, 1, 0)
+        signal = torch.view_as_complex(modulated[..., 2:].unflatten(-1, (-1, 2)).contiguous())
         return Attributes(
-            signal=torch.complex(modulated[2::2], modulated[3::2]),
+            signal=signal.permute(2, 1, 0),
             attenuation=torch.polar(torch.sigmoid(attenuation + _CLEAR), phase),
             inverse_spread=self.config.max_spread ** torch.tanh(spread),
         )

@@ -22,6 +22,7 @@ from xfreqbench.types import FloatArray
 
 _RIDGE = 1e-6  # of the largest mean square of a lag function
 _DIRECTIONS_PER_LAG = 4
+_CHANNELS_AT_ONCE = 4096  # whose products of all pairs of elements are in memory
 _MIN_PEAK = 1e-30  # so that the gradient of a square root at zero, divided by the peak, is a finite float32
 
 
@@ -173,17 +174,18 @@ class Targets:
         if not self.derived:
             maps = self._train.pas(self.rows[nth.numpy()])
             return view.of_maps(torch.from_numpy(maps)).to(self._device)
-        power = self._beams.power(self._unit_channels[nth.to(self._device)], view)
+        power = self._beams.power_of_lags(self._lags[nth.to(self._device)], view)
         return power.sqrt() if self._train.header.pas_kind == "amplitude" else power
 
     @cached_property
-    def _unit_channels(self) -> Complex[Tensor, "n M"]:
-        """Channels scaled so that their power maps have peak 1."""
+    def _lags(self) -> Float[Tensor, "n L"]:
+        """Sums over lags of the channels, scaled so that their power maps have peak 1."""
         cfr = self._train.cfr[self.rows].astype(np.complex128)
         if self._train.header.pas_kind == "phase-only":
             cfr = cfr / np.where(cfr == 0, 1, np.abs(cfr))
         scaled = cfr / np.sqrt(self._train.peak_power[self.rows])[:, None]
-        return torch.as_tensor(scaled.astype(np.complex64)).to(self._device)
+        channels = torch.as_tensor(scaled.astype(np.complex64)).to(self._device)
+        return torch.cat([self._beams.lags_of_channels(part) for part in channels.split(_CHANNELS_AT_ONCE)])
 
 
 def of_peak(power: Float[Tensor, "B E A"]) -> Float[Tensor, "B E A"]:

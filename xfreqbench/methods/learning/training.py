@@ -129,6 +129,7 @@ class Training:
     generator: torch.Generator
     beams: Beams
     kind: PasKind
+    parameters: list[nn.Parameter]  # of the field after the last step
     mean: AveragedModel | None = None  # of the field's weights over steps
     step: int = 0
     share: float = 0.0  # of the budget spent, as last told
@@ -302,7 +303,8 @@ class LearnedMethod:
     ) -> Training:
         """A training that has made no step, on the device."""
         field.to(self._device)
-        return Training(field, self.new_optimizer(field), generator, Beams(beam, self._device), kind)
+        beams, parameters = Beams(beam, self._device), list(field.parameters())
+        return Training(field, self.new_optimizer(field), generator, beams, kind, parameters)
 
     def new_optimizer(self, field: ChannelField) -> torch.optim.Adam:
         """Adam for the field's parameters, without any moments yet."""
@@ -373,7 +375,7 @@ class LearnedMethod:
 
     def _step(self, training: Training, targets: Targets) -> float:
         """Make one step; return the loss before it."""
-        share, before = training.share, list(training.field.parameters())
+        share, before = training.share, training.parameters
         if self._is_capturable(training, targets):
             _set_rates(training)
             loss = self._replayed(training, targets)
@@ -381,11 +383,11 @@ class LearnedMethod:
             loss = self.batch_loss(training, targets)
             _set_rates(training)  # of what may be another optimiser by now
             training.step += 1
-            parameters, norm = _gradients(training.field, loss)
+            parameters, norm = _gradients(training.optimizer, loss)
             _require_finite(training, loss, norm)
             _update(training, parameters, norm)
         training.field.after_step(training.optimizer, training.step, share)
-        now = list(training.field.parameters())
+        training.parameters = now = list(training.field.parameters())
         is_same = len(before) == len(now) and all(map(operator.is_, before, now))
         if not is_same:
             training.graph = None
@@ -405,7 +407,7 @@ class LearnedMethod:
 
             def step(*inputs: Tensor) -> tuple[Tensor, Tensor]:
                 loss = self._loss_of_rows(training, targets, view, *inputs)
-                parameters, norm = _gradients(training.field, loss)
+                parameters, norm = _gradients(training.optimizer, loss)
                 _update(training, parameters, norm)
                 return loss.detach(), norm
 
@@ -448,11 +450,13 @@ def _set_rates(training: Training) -> None:
             group["lr"] = group["initial_lr"] * rate
 
 
-def _gradients(field: ChannelField, loss: Tensor) -> tuple[list[nn.Parameter], Tensor]:
-    """The parameters that the loss has a gradient by, and the norm of all gradients together."""
-    field.zero_grad(set_to_none=True)
+def _gradients(optimizer: torch.optim.Adam, loss: Tensor) -> tuple[list[nn.Parameter], Tensor]:
+    """The optimised parameters that the loss has a gradient by, and the norm of all gradients together."""
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+    for parameter in parameters:
+        parameter.grad = None
     loss.backward()
-    parameters = [parameter for parameter in field.parameters() if parameter.grad is not None]
+    parameters = [parameter for parameter in parameters if parameter.grad is not None]
     return parameters, nn.utils.get_total_norm(
         [parameter.grad for parameter in parameters if parameter.grad is not None]
     )
