@@ -33,7 +33,7 @@ def test_steps_of_methods_are_told_as_maps_a_second(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(rendering, "step_s", lambda train, method: 0.5)
     said = list[str]()
     rendering.tabulate_fits(Bench("render", "", said.append), plane_wave_data(tmp_path / "d.h5", CARRIERS_HZ, num_tx=2))
-    assert "| aperture-gs | 32 | 500.0 | 64 |" in said
+    assert "| aperture-gs | 64 | 500.0 | 128 |" in said
 
 
 def test_footprints_hold_as_many_directions_as_the_table_says() -> None:

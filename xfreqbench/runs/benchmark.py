@@ -23,7 +23,7 @@ from xfreqbench.data.unseen_rooms import NUMS_HEARD, ROOM_PROTOCOLS
 from xfreqbench.errors import RunsFailedError, UnknownNameError
 from xfreqbench.methods.contract import RoomMethod, parse_budget
 from xfreqbench.methods.registry import build_method, device_option
-from xfreqbench.runs.estimate import OVERHEAD_S, in_hours
+from xfreqbench.runs.estimate import in_hours
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task, protocol_tasks
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
@@ -58,7 +58,7 @@ BENCH_COMMANDS = {  # the command of each measurement, and the minutes that it t
 }
 _PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
 
-_TRIVIAL_S = 4.0  # of a run that fits nothing
+_TRIVIAL_S, _BESIDE_FIT_S = 4.0, 5.0  # of a run that fits nothing; what another takes besides its fit
 _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside it
     "fixed-frequency-gs": 1e-4,
     "frequency-embedded-gs": 1e-4,
@@ -237,7 +237,7 @@ def _run_seconds(block: Block, setting: Setting) -> float:
         fit_s = budget.max_seconds or (budget.max_maps or 0) * a_map
         is_across = isinstance(build_method(setting.method, setting.overrides), RoomMethod)
         return fit_s * (1 / _num_splits(block) if is_across else _TESTED_ROOMS) + _TESTED_ROOMS * _SCORED_S
-    overhead = OVERHEAD_S if block.budget else _TRIVIAL_S
+    overhead = _BESIDE_FIT_S if block.budget else _TRIVIAL_S
     maps = budget.max_maps or (budget.max_steps or 0) * _MAPS_A_STEP
     return (budget.max_seconds or maps * a_map) + overhead
 
