@@ -14,7 +14,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,7 +24,9 @@ from numba.core.caching import FunctionCache
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 _IS_COMPILER = "XFREQBENCH_IS_COMPILER"  # a variable of its environment
+_IDLE_S = 20
 _SERVE = "from xfreqbench.system.kernels import serve; serve()"
+_compilers: dict[int, Any] = {}  # by the process that they compile for
 
 
 def entry(sources: str | None = None, **options: Any) -> Callable[[Kernel], Kernel]:
@@ -62,7 +63,9 @@ def _compile_beside(module: str, name: str, sig: Any) -> bool:
     if _IS_COMPILER in os.environ:
         return False
     try:
-        compiler = _compiler_of(os.getpid())
+        compiler = _compilers.get(os.getpid())
+        if compiler is None or compiler.poll() is not None:
+            compiler = _compilers[os.getpid()] = _started()
         pickle.dump((module, name, sig), compiler.stdin)
         compiler.stdin.flush()
         return bool(compiler.stdout.read(1))
@@ -70,9 +73,8 @@ def _compile_beside(module: str, name: str, sig: Any) -> bool:
         return False
 
 
-@cache
-def _compiler_of(_process: int) -> Any:
-    """The compiler of a process, which goes with it."""
+def _started() -> Any:
+    """A compiler for this process, which goes with it."""
     path = os.pathsep.join(folder or str(Path.cwd()) for folder in sys.path)
     compiler = subprocess.Popen(
         [sys.executable, "-c", _SERVE],
@@ -91,13 +93,24 @@ def _end(compiler: Any) -> None:
 
 
 def serve() -> None:
-    """Compile into the cache what is asked for on standard input, until it ends; what fails ends this process."""
+    """Compile into the cache what is asked for on standard input, until it ends, or nothing is for a while.
+
+    What fails to compile ends this process.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends who asks
     while True:
+        _end_after(_IDLE_S)
         try:
             module, name, sig = pickle.load(sys.stdin.buffer)
         except EOFError:
             return
+        _end_after(0)
         getattr(import_module(module), name).compile(sig)
         sys.stdout.buffer.write(b".")
         sys.stdout.buffer.flush()
+
+
+def _end_after(seconds: int) -> None:
+    """End this process after some seconds, or never for 0; compilers hold a gigabyte."""
+    if hasattr(signal, "alarm"):
+        signal.alarm(seconds)
