@@ -113,6 +113,19 @@ def test_of_a_library_only_the_file_of_a_base_class_counts_and_of_python_nothing
     assert set(reachable_sources(["xfreqbench.units", "pydantic.main"])) == {"xfreqbench.units", "pydantic.main"}
 
 
+def test_what_another_process_found_counts_as_long_as_files_are_the_same(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, known, search = _sha256(), source.known_sources(), source._reachable
+    monkeypatch.setattr(source, "_known", {})
+    monkeypatch.delattr(source, "_reachable")
+    source.remember_sources(known)
+    assert _sha256() == before
+    monkeypatch.setattr(source, "_reachable", search, raising=False)
+    (folder / "method.py").write_text((folder / "method.py").read_text() + "\nchanged = True")
+    assert _sha256() != before
+
+
 def test_the_hash_of_the_package_covers_every_file_of_it_and_the_built_in_methods(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -48,7 +48,8 @@ from xfreqbench.system import machine
 from xfreqbench.system.arguments import FilePath, Texts, WholeNumbers, Word, checked, listed
 from xfreqbench.system.cluster import UnfitWorkerError
 from xfreqbench.system.files import read_text, storage_errors
-from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
+from xfreqbench.system.source import Known, known_sources, remember_sources
+from xfreqbench.system.workers import HERE, SERIAL, LocalProcesses, Workers, open_workers, side_by_side
 
 _LOOK_S = 0.5  # between two looks at what other processes are at
 Options = Texts | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
@@ -224,7 +225,7 @@ def run_jobs(
         call = partial(_run_claimed, folder=ResultsFolder(folder.path))
         require_shared_folder(workers, folder.path)
         require_shared_datasets(workers, {path: sha256 for task in missing for path, sha256 in task.files.items()})
-    locks, announced = dict[str, ExitStack](), set[str]()
+    locks, announced, is_near = dict[str, ExitStack](), set[str](), isinstance(workers, LocalProcesses)
 
     def claimed(tasks: Sequence[Task], elsewhere: dict[str, str]) -> Iterator[_Claim]:
         """The tasks that no other process is at, each locked; of those in `elsewhere` it says which process is."""
@@ -239,7 +240,7 @@ def run_jobs(
                     end(task, record)
                     continue
                 locks[task.id] = lock.pop_all()
-            yield _Claim(task, task.id, holder)
+            yield _Claim(task, task.id, holder, known_sources() if is_near else {})
 
     while missing:
         elsewhere = dict[str, str]()
@@ -274,11 +275,12 @@ def run_jobs(
 
 
 class _Claim(NamedTuple):
-    """A task with its id and the text of its lock, as the process has them that holds the lock."""
+    """A task with its id and the text of its lock, and sources, as the process has them that holds the lock."""
 
     task: Task
     id: str
     holder: str
+    sources: Known
 
 
 def _run_claimed(claim: _Claim, folder: ResultsFolder, fitting: FitProgress | None = None) -> RunRecord:
@@ -286,6 +288,7 @@ def _run_claimed(claim: _Claim, folder: ResultsFolder, fitting: FitProgress | No
 
     Raises `UnfitWorkerError` where this process finds another folder, other data or other code at the same names.
     """
+    remember_sources(claim.sources)
     _require_same(claim, folder)
     require_claim = _takeover_check(folder.run_lock_path(claim.id), claim.holder)
     if isinstance(claim.task, RoomTask):

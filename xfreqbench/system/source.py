@@ -72,12 +72,30 @@ def reachable_sources(modules: Iterable[str]) -> dict[str, bytes]:
     time, and made anew if one of the files has changed since.
     """
     asked = tuple(modules), tuple(sys.path)
-    if asked not in _known or any(_read(path) != source for path, source in _known[asked].values()):
+    if asked not in _known or not all(map(_is_there, _known[asked].items())):
         _known[asked] = _reachable(asked[0])
     return {module: source for module, (_, source) in _known[asked].items()}
 
 
-_known: dict[tuple[tuple[str, ...], ...], dict[str, tuple[Path, bytes]]] = {}  # by modules and search path
+Known = dict[tuple[tuple[str, ...], ...], dict[str, tuple[Path, bytes]]]
+_known: Known = {}  # by modules and search path
+_contents: dict[bytes, bytes] = {}
+
+
+def known_sources() -> Known:
+    """What `reachable_sources` has found, for another process of this machine, which need not read imports again."""
+    return dict(_known)
+
+
+def remember_sources(known: Known) -> None:
+    """Let `reachable_sources` know what another process has found; it looks whether files are the same here."""
+    _known.update(known)
+
+
+def _is_there(known: tuple[str, tuple[Path, bytes]]) -> bool:
+    """Whether a module has the file that it had, with the same contents."""
+    module, (path, source) = known
+    return _file(module) == path and _read(path) == source
 
 
 def _reachable(modules: tuple[str, ...]) -> dict[str, tuple[Path, bytes]]:
@@ -90,6 +108,7 @@ def _reachable(modules: tuple[str, ...]) -> dict[str, tuple[Path, bytes]]:
         if module in found or path is None:
             continue
         source = _read(path) or b""
+        source = _contents.setdefault(source, source)  # those of another search are pickled once with it
         found[module] = path, source
         if _is_idle(path, source) or not _is_followed(module, own):
             continue
