@@ -80,29 +80,12 @@ def test_a_traced_file_has_the_recipe_of_the_fingerprint(usual: PasDataset) -> N
     assert replace(match, difference=0.0).difference_db == -np.inf
 
 
-WITHOUT_COMPILER = """
-import sys
-from types import SimpleNamespace
-import numba
-
-def plain(*given, **options):
-    def bare(function):
-        function.py_func, function._cache = function, SimpleNamespace(_cache_file=SimpleNamespace())
-        return function
-    return bare(*given) if given else bare
-
-numba.njit = plain
-from xfreqbench.cli.main import main
-main()
-"""
-
-
 def test_without_a_compiler_or_with_one_thread_only_digits_change(tmp_path: Path) -> None:
     """Kernels that Python runs itself have no instructions of a processor, and no sums in another order."""
     np.savetxt(tmp_path / "tx.csv", TRANSMITTERS_M, fmt="%.17g", delimiter=",")
     words = "generate two_rooms --tx-positions tx.csv --freqs 1,10,94 --rays 2000 --max-depth 3 --no-maps -o rooms.h5"
     words += " --interactions specular,refraction"  # diffraction leaves out what is below a threshold: 1e-5
-    command, alone = [sys.executable, "-c", WITHOUT_COMPILER, *words.split()], {"NUMBA_NUM_THREADS": "1"}
+    command, alone = [sys.executable, "-m", "xfreqbench.cli", *words.split()], {"NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run(command, cwd=tmp_path, env=os.environ | alone, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "fingerprint of two_rooms@2-" in done.stdout

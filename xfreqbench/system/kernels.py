@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core import config
 from numba.core.caching import FunctionCache
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
@@ -38,6 +39,8 @@ def entry(sources: str | None = None, **options: Any) -> Callable[[Kernel], Kern
     """
 
     def compiled(function: Kernel) -> Kernel:
+        if config.DISABLE_JIT:  # type: ignore[attr-defined]  # NUMBA_DISABLE_JIT=1, to debug
+            return function
         kernel: Any = numba.njit(**options)(function)
         kernel._cache = _Cache(kernel.py_func)  # type: ignore[no-untyped-call]
         if sources is not None:

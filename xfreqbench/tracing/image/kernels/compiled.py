@@ -44,7 +44,7 @@ def entry(function: Kernel) -> Kernel:
 
 def within(kernel: Any) -> Any:
     """An `entry` for other kernels: code from the cache is called, not made part of them, and then rounds otherwise."""
-    return whole(kernel.py_func)
+    return whole(getattr(kernel, "py_func", kernel))
 
 
 def num_threads() -> int:
