@@ -163,7 +163,7 @@ def test_what_another_process_runs_is_waited_for_and_not_run_again(
             is_locked.set()
             while not other.records:
                 time.sleep(0.01)
-            other.keep(runner._run_claimed(runner._Claim(task, task.id, holder, {}), other))
+            other.keep(runner._run_claimed(runner._Claim(task, task.id, holder), other))
 
     with ThreadPoolExecutor(1) as threads:
         ended = threads.submit(run_the_first)

@@ -32,14 +32,26 @@ print(total.tobytes().hex(), sum(sums.stats.cache_misses.values()))
 
 
 def test_who_compiles_computes_the_digits_of_who_finds_it_compiled(tmp_path: Path) -> None:
-    """With Numba's own cache the first process has others than those after it, by sums in another order."""
+    """With Numba's own cache the first process has others than those after it, by sums in another order.
+
+    Who compiles does not import a file of the working folder that has a standard name.
+    """
     (tmp_path / "sums.py").write_text(SUMS)
+    (tmp_path / "use.py").write_text(USE)
+    (folder := tmp_path / "working").mkdir()
+    (folder / "pickle.py").write_text("open('imported', 'w')")
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "NUMBA_NUM_THREADS": "1"}
     answers = [
         subprocess.run(
-            [sys.executable, "-c", USE], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+            [sys.executable, tmp_path / "use.py"],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
         ).stdout
         for _ in range(2)
     ]
     assert answers[0] == answers[1]
     assert answers[0].endswith(" 0\n"), "compiled in the process that uses it"
+    assert not (folder / "imported").exists()

@@ -58,7 +58,7 @@ BENCH_COMMANDS = {  # the command of each measurement, and the minutes that it t
 }
 _PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
 
-_TRIVIAL_S, _BESIDE_FIT_S = 4.0, 5.0  # of a run that fits nothing; what another takes besides its fit
+_TRIVIAL_S, _BESIDE_FIT_S = 4.0, 5.0  # as measured: a run that fits nothing, and what others take besides their fits
 _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside it
     "fixed-frequency-gs": 1e-4,
     "frequency-embedded-gs": 1e-4,

@@ -12,7 +12,7 @@ from xfreqbench.runs.jobs import Task
 from xfreqbench.runs.records import Job
 from xfreqbench.system.workers import SERIAL, require_executor
 
-OVERHEAD_S = 10.0  # what a run takes besides its fit: start, learning curve, predictions and scores
+OVERHEAD_S = 13.0  # what a run takes besides its fit: start, learning curve, predictions and scores
 LONG_S = 600.0
 
 

@@ -222,10 +222,11 @@ def run_jobs(
     if workers is HERE:
         call = partial(_run_claimed, folder=folder, fitting=fitting)
     else:
-        call = partial(_run_claimed, folder=ResultsFolder(folder.path))
+        sources = known_sources() if isinstance(workers, LocalProcesses) else {}
+        call = partial(_run_claimed, folder=ResultsFolder(folder.path), sources=sources)
         require_shared_folder(workers, folder.path)
         require_shared_datasets(workers, {path: sha256 for task in missing for path, sha256 in task.files.items()})
-    locks, announced, is_near = dict[str, ExitStack](), set[str](), isinstance(workers, LocalProcesses)
+    locks, announced = dict[str, ExitStack](), set[str]()
 
     def claimed(tasks: Sequence[Task], elsewhere: dict[str, str]) -> Iterator[_Claim]:
         """The tasks that no other process is at, each locked; of those in `elsewhere` it says which process is."""
@@ -240,7 +241,7 @@ def run_jobs(
                     end(task, record)
                     continue
                 locks[task.id] = lock.pop_all()
-            yield _Claim(task, task.id, holder, known_sources() if is_near else {})
+            yield _Claim(task, task.id, holder)
 
     while missing:
         elsewhere = dict[str, str]()
@@ -275,20 +276,22 @@ def run_jobs(
 
 
 class _Claim(NamedTuple):
-    """A task with its id and the text of its lock, and sources, as the process has them that holds the lock."""
+    """A task with its id and the text of its lock, as the process has them that holds the lock."""
 
     task: Task
     id: str
     holder: str
-    sources: Known
 
 
-def _run_claimed(claim: _Claim, folder: ResultsFolder, fitting: FitProgress | None = None) -> RunRecord:
+def _run_claimed(
+    claim: _Claim, folder: ResultsFolder, fitting: FitProgress | None = None, sources: Known | None = None
+) -> RunRecord:
     """The record of a task, run here for the process that holds its lock, which stores the record.
 
+    `sources` are those that the other process knows, if it is on this machine.
     Raises `UnfitWorkerError` where this process finds another folder, other data or other code at the same names.
     """
-    remember_sources(claim.sources)
+    remember_sources(sources or {})
     _require_same(claim, folder)
     require_claim = _takeover_check(folder.run_lock_path(claim.id), claim.holder)
     if isinstance(claim.task, RoomTask):

@@ -22,6 +22,8 @@ import numba
 from numba.core import config
 from numba.core.caching import FunctionCache
 
+from xfreqbench.system.machine import safe_path
+
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 _IS_COMPILER = "XFREQBENCH_IS_COMPILER"  # a variable of its environment
@@ -79,13 +81,14 @@ def _compile_beside(module: str, name: str, sig: Any) -> bool:
 def _started() -> Any:
     """A compiler for this process, which goes with it."""
     path = os.pathsep.join(folder or str(Path.cwd()) for folder in sys.path)
-    compiler = subprocess.Popen(
-        [sys.executable, "-c", _SERVE],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,  # what fails there is compiled here, where errors show
-        env=os.environ | {"PYTHONPATH": path, _IS_COMPILER: "1"},
-    )
+    with safe_path():
+        compiler = subprocess.Popen(
+            [sys.executable, "-c", _SERVE],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,  # what fails there is compiled here, where errors show
+            env=os.environ | {"PYTHONPATH": path, _IS_COMPILER: "1"},
+        )
     atexit.register(_end, compiler)
     return compiler
 
