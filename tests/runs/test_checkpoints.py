@@ -202,7 +202,8 @@ def test_a_kill_while_the_old_checkpoint_is_removed_leaves_the_new_one(
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(shutil, "rmtree", _raise_interrupt)
         save(folder, 2)
-    assert (names(folder), folder.read().step) == (["1", "2"], 2)
+    half, new = names(folder)
+    assert (half.endswith(".partial"), new, folder.read().step) == (True, "2", 2)
     save(folder, 3)
     assert names(folder) == ["3"]
 
@@ -215,6 +216,18 @@ def test_what_is_removed_is_never_found_half(folder: CheckpointFolder, monkeypat
     assert folder.read() is None
     folder.remove()
     assert list(folder.path.parent.iterdir()) == []
+
+
+@pytest.mark.parametrize("place", ["", "2/method/state.safetensors", "1/checkpoint.json"])
+def test_what_somebody_else_has_put_there_is_not_removed(folder: CheckpointFolder, place: str) -> None:
+    if place.startswith("2"):
+        save(folder, 1)
+    theirs = folder.path / place
+    theirs.parent.mkdir(parents=True, exist_ok=True)
+    theirs.write_text("years of work", encoding="utf-8")
+    with pytest.raises(DataError, match="and is not removed"):
+        folder.remove()
+    assert theirs.read_text(encoding="utf-8") == "years of work"
 
 
 def _raise_interrupt(*_: object) -> None:

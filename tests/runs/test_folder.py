@@ -62,7 +62,7 @@ def test_a_run_is_finished_when_its_record_and_its_predictions_are_stored(tmp_pa
 
 def test_a_record_is_kept_with_its_predictions_alone_and_its_checkpoints_go(tmp_path: Path) -> None:
     folder, record = ResultsFolder(tmp_path), make_record()
-    checkpoint = folder.checkpoints(record.id).path / "1"
+    checkpoint = folder.checkpoints(record.id).path / ".1.partial"
     checkpoint.mkdir(parents=True)
     with pytest.raises(ClusterError, match=r"its predictions are not at .*predictions"):
         folder.keep(record)

@@ -69,7 +69,7 @@ class CheckpointFolder:
         A process that is killed at any moment leaves a whole checkpoint: this one, or the one before. Raises
         `StorageError`, and what `method.save` raises.
         """
-        unfinished = self.path / f".{uuid4().hex}{_UNFINISHED}"
+        unfinished = self._unfinished()
         numbers = self._numbers()
         with storage_errors(self.path):
             for abandoned in self.path.glob(f".*{_UNFINISHED}"):
@@ -93,7 +93,10 @@ class CheckpointFolder:
             unfinished.rename(self.path / str(max(numbers, default=0) + 1))
             sync(self.path)  # or the rename itself may be lost with the power
             for number in filter(self._is_own, numbers):
-                remove(self.path / str(number))
+                remove((self.path / str(number)).rename(self._unfinished()))
+
+    def _unfinished(self) -> Path:
+        return self.path / f".{uuid4().hex}{_UNFINISHED}"
 
     def _is_own(self, number: int) -> bool:
         """Whether a folder of a checkpoint's name holds one, and not what somebody else has put there."""
@@ -151,7 +154,13 @@ class CheckpointFolder:
         return loaded
 
     def remove(self) -> None:
-        """Remove the folder. It is renamed first, so that a kill never leaves half of it under its name."""
+        """Remove the folder, or a link in its place. It is renamed first: a kill never leaves half of it.
+
+        Raises `DataError` where somebody else has put something there, or what we have put there is damaged.
+        """
+        is_link = self.path.is_symlink()
+        if not is_link and (self.path.is_file() or not all(map(self._is_own, self._numbers()))):
+            raise DataError(f"{self.path} holds what is no whole {self.what}, and is not removed. Move it elsewhere.")
         removed = self.path.with_name(f".{self.path.name}.removed")
         with storage_errors(self.path):
             remove(removed)
