@@ -9,7 +9,7 @@ budget=${BUDGET:-quick} data=data/office-quick.h5 results=results/quickstart
 
 if ! [[ .venv/bin/xfreqbench -nt pyproject.toml && .venv/bin/xfreqbench -nt constraints.txt ]]; then
     say "Installing, and compiling what traces rays; three minutes, half of it downloads"
-    [ -x .venv/bin/python ] || "${PYTHON:-python3.11}" -m venv .venv
+    [ -x .venv/bin/python ] || "${PYTHON:-$(command -v python3.11 || command -v python3)}" -m venv .venv
     .venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
     # Side by side: the first compiles the kernels for single paths, the second those for channels.
     .venv/bin/xfreqbench view office --quiet --output .venv/first_view >/dev/null &

@@ -9,7 +9,7 @@ if [ "${1:-}" = --all ]; then
     shift
 fi
 unset PYTHONDONTWRITEBYTECODE  # files are compiled when they are first imported, and not all of them at installation
-[ -x .venv/bin/python ] || "${PYTHON:-python3.11}" -m venv .venv
+[ -x .venv/bin/python ] || "${PYTHON:-$(command -v python3.11 || command -v python3)}" -m venv .venv
 .venv/bin/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .

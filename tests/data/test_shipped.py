@@ -59,6 +59,12 @@ def test_a_download_goes_on_where_it_broke_off_and_is_kept(server: Server, tmp_p
     assert [path.name for path in fetched.path.parent.iterdir()] == [fetched.path.name]
 
 
+def test_what_is_fetched_afresh_does_not_go_on_from_the_old(server: Server) -> None:
+    path = shipped.fetch_file(server.url)
+    path.with_name(f".{path.name}.partial").write_bytes(b"an older file")
+    assert shipped.fetch_file(server.url, fresh=True).read_bytes() == server.content
+
+
 def test_a_flipped_byte_is_refused_and_not_kept(server: Server, tmp_path: Path) -> None:
     known = hashlib.sha256(server.content).hexdigest()
     server.content = server.content[:900_000] + bytes([server.content[900_000] ^ 1]) + server.content[900_001:]

@@ -55,7 +55,7 @@ def test_a_method_of_a_damaged_file_is_refused_in_a_line(copied: tuple[Path, Run
     content = bytearray(path.read_bytes())
     content[-1] ^= 1
     path.write_bytes(content)
-    words = r"The method in .* is damaged: state\.safetensors changed .* Delete .*\.h5 and run the same again"
+    words = r"The method in .* is damaged: state\.safetensors changed .* Delete .*\.h5 and .*, and run the same again"
     with pytest.raises(DataError, match=words) as raised:
         xb.load_method(results, record)
     assert "\n" not in str(raised.value)

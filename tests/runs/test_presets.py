@@ -72,6 +72,11 @@ def test_ablations_change_the_setting_that_they_name() -> None:
         assert bool(setting.overrides) == (changed != build_method(setting.method).config)
 
 
+def test_what_two_blocks_ask_for_is_counted_once(tmp_path: Path) -> None:
+    planned = plan_benchmark("paper", tmp_path / "data", tmp_path / "results")
+    assert "\n152 runs, 68 of them" in cost(planned, 2)  # three of the ablations' fits are those of lofo
+
+
 def test_an_unknown_preset_names_those_there_are(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="standard"):
         plan_benchmark("standart", tmp_path, tmp_path)

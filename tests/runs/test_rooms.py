@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from xfreqbench.baselines.line_of_sight import LineOfSight
 
 from tests.support.rooms import tiny_rooms
 from xfreqbench.data.collection import Collection
+from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.unseen_rooms import room_splits
-from xfreqbench.errors import MethodError, XFreqBenchError
+from xfreqbench.errors import DataError, MethodError, ProtocolError, XFreqBenchError
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.check import check_method
 from xfreqbench.methods.contract import Budget
@@ -21,9 +23,12 @@ from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.rooms import PerRoom
 from xfreqbench.methods.template import write_method_package
 from xfreqbench.report.leaderboard.results import read_results
+from xfreqbench.report.leaderboard.text import leaderboard
 from xfreqbench.report.leaderboard.unseen_rooms import room_tables, rooms_overview
 from xfreqbench.runs import rooms as runner
+from xfreqbench.runs.estimate import estimate_runs
 from xfreqbench.runs.folder import ResultsFolder, read_records
+from xfreqbench.runs.rooms import room_tasks
 from xfreqbench.runs.run import run
 
 SMALL = ["queries=8", "headings=16", "distances=12"]
@@ -112,6 +117,50 @@ def test_the_report_has_tables_by_number_heard_carrier_type_and_sight_and_a_curv
     assert alone and not any(table.figure for table in alone)  # without a trivial predictor no skill is known
     (shown,) = rooms_overview(read_results(results).benches, "more.md")
     assert len(shown.splitlines()) <= 12 and f"| {learned} " in shown
+
+
+def test_other_seeds_collections_and_commits_have_rows_tables_and_names_of_their_own(results: Path) -> None:
+    stored = read_records(results)
+    again = [record.model_copy(update={"job": replace(record.job, seed=1)}) for record in stored]
+    assert {row[0].rpartition(", ")[2] for row in room_tables([*stored, *again])[0].rows} == {
+        *("line-of-sight", "nearest", "seed 0", "seed 1")
+    }
+    settings = stored[0].settings | {"rooms_trained_on": 1000}
+    more = {"recipe": "data-0123456789", "settings": settings, "counts": stored[0].counts | {runner.NUM_ROOMS: 1000}}
+    larger = [record.model_copy(update=more | {"git_commit": "0123456789"}) for record in stored[:-4]]
+    first, *_, last = [table for table in room_tables([*stored, *larger]) if " · by " not in table.title]
+    assert first.title.endswith(" · unseen-rooms · data-01234567") and first.title != last.title
+    assert first.rows != last.rows and "1,000" in rooms_overview([first], "more.md")[0]
+    (mixed, *_) = room_tables([*stored[:-1], stored[-1].model_copy(update={"git_commit": "0123456789"})])
+    assert f"0123456 (1 runs), {stored[0].git_commit[:7]}" in mixed.note
+    with pytest.raises(DataError, match="unseen rooms, which have no leaderboard"):
+        leaderboard(stored)
+
+
+def test_a_method_of_one_room_is_fitted_with_the_seed_asked_for(
+    rooms: Collection, dataset: PasDataset, tmp_path: Path
+) -> None:
+    method = PerRoom("aperture-gs", ["num_gaussians=8"])
+    list(method.fit(rooms, Budget(), 7))
+    method.save(tmp_path)
+    loaded = PerRoom.load(tmp_path)
+    seeds = list[int]()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("xfreqbench.methods.rooms.fit_within", lambda *given: seeds.append(given[3]))
+        loaded.adapt(dataset, Budget())
+    assert (seeds, loaded.config) == ([7], method.config)
+
+
+def test_what_rooms_have_no_choice_of_is_refused(rooms: Collection, tmp_path: Path) -> None:
+    with pytest.raises(ProtocolError, match=r"has no target carrier to choose, but got \[2.4\]"):
+        run(rooms, "nearest", "unseen-rooms", tmp_path, targets_ghz=[2.4])
+
+
+def test_budgets_are_spent_in_each_room_or_once(rooms: Collection, tmp_path: Path) -> None:
+    tasks = room_tasks(
+        str(rooms.path), rooms, [("xfreq-gs", ()), ("room-lags", ())], "unseen-rooms", (0,), Budget(None, 60)
+    )
+    assert estimate_runs(tasks, tmp_path).num_fits == (1, 1, 1, 1, 1, 0, 0, 0)  # one room is tested
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import xfreqbench as xb
 from tests.support.stub_methods import lofo_job, run_jobs
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError, RunsFailedError, UnknownNameError, XFreqBenchError
+from xfreqbench.methods.contract import Budget
 from xfreqbench.runs.run import Options
 
 TARGET = {"targets_ghz": [77.0]}
@@ -93,6 +94,14 @@ def test_runs_are_told_of_where_that_is_asked_for(
     assert capsys.readouterr().err == told
 
 
+def test_every_run_that_fails_is_told_of(dataset: PasDataset, tmp_path: Path) -> None:
+    name = "tests.support.stub_methods:FailsInFit"
+    jobs = [lofo_job(dataset, name, budget=Budget(max_steps=number)) for number in (1, 2)]
+    with pytest.raises(RunsFailedError, match="2 of 2 runs failed") as raised:
+        run_jobs(jobs, tmp_path)
+    assert len(raised.value.errors) == 2
+
+
 @pytest.mark.parametrize("executor", ["serial", "2"])
 def test_a_run_that_fails_stops_no_other_here_or_on_workers(
     dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], executor: str
@@ -103,7 +112,7 @@ def test_a_run_that_fails_stops_no_other_here_or_on_workers(
     number, failed = str(raised.value).splitlines()
     assert number.startswith("1 of 2 runs failed")
     name = "tests.support.stub_methods:FailsInFit"
-    where = f"{name} on lofo-77GHz, seed 0: Method '{name}' failed in fit on split 'lofo-77GHz'"
+    where = f"{name} on lofo-77GHz of {dataset.path.name}, seed 0: Method '{name}' failed in fit on split 'lofo-77GHz'"
     assert re.match(rf"{where}: RuntimeError: no memory left \(.*stub_methods\.py", failed)
     (error,) = raised.value.errors.values()
     assert isinstance(error, MethodError)

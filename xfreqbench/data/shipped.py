@@ -104,7 +104,8 @@ def fetch_file(url: str, sha256: str | None = None, file: str = "", fresh: bool 
     path, book = data_folder() / file, _book({file: sha256 and sha256.lower()}, {file: url})
     with sole_writer(path), storage_errors(path):
         if fresh:
-            path.unlink(missing_ok=True)
+            for old in (path, _partial(path)):
+                old.unlink(missing_ok=True)
         try:
             book.fetch(file, downloader=_go_on)
         except requests.RequestException as error:
@@ -121,10 +122,15 @@ def _book(registry: dict[str, Any], urls: dict[str, str]) -> Any:
     return pooch.create(data_folder(), base_url="", registry=registry, urls=urls, retry_if_failed=1)
 
 
+def _partial(path: Path) -> Path:
+    """What has arrived of a file so far."""
+    return path.with_name(f".{path.name}.partial")
+
+
 def _go_on(url: str, output: str, book: Any) -> None:
     """Download into `output`, from where an earlier download broke off: that is kept beside it, by the file's name."""
     (file,) = book.registry
-    partial = Path(output).with_name(f".{file}.partial")
+    partial = _partial(Path(output).with_name(file))
     with partial.open("ab") as stored:
         start = stored.tell()
         asked = {"Range": f"bytes={start}-"} if start else {}

@@ -14,7 +14,6 @@ from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.registry import build_method
 
 _METHOD_FILE = "method.json"
-_SEED = 0
 
 
 class PerRoom:
@@ -24,6 +23,7 @@ class PerRoom:
     """
 
     num_parameters = 0
+    _seed = 0
 
     def __init__(self, method: str, overrides: Sequence[str] = ()) -> None:
         """Takes the method's name, and texts `key=value` for its options; raises as `build_method` does."""
@@ -32,23 +32,28 @@ class PerRoom:
         self.config = self.built.config
 
     def fit(self, rooms: Collection, budget: Budget, seed: int) -> Iterator[Progress]:
-        """Nothing is learned; one step says so."""
+        """Nothing is learned, but with which seed it is fitted in each room; one step says so."""
+        self._seed = seed
         yield Progress(step=1, loss=nan)
 
     def adapt(self, heard: PasDataset, budget: Budget) -> Method:
         """The method, fitted to what is heard within the budget."""
         method: Method = build_method(self._name, self._overrides) if len(heard) else build_method("line-of-sight")
-        fit_within(method, heard, budget, _SEED)
+        fit_within(method, heard, budget, self._seed)
         return method
 
     def save(self, directory: Path) -> None:
-        """Store the name of the method and its options: nothing else is known."""
-        (directory / _METHOD_FILE).write_text(json.dumps([self._name, self._overrides]), encoding="utf-8")
+        """Store the name of the method, its options and the seed: nothing else is known."""
+        content = [self._name, self._overrides, self._seed]
+        (directory / _METHOD_FILE).write_text(json.dumps(content), encoding="utf-8")
 
     @classmethod
     def load(cls, directory: Path) -> PerRoom:
         """Inverse of `save`."""
-        return cls(*json.loads((directory / _METHOD_FILE).read_text(encoding="utf-8")))
+        *built, seed = json.loads((directory / _METHOD_FILE).read_text(encoding="utf-8"))
+        method = cls(*built)
+        method._seed = seed
+        return method
 
 
 def build_room_method(name: str, overrides: Sequence[str] = ()) -> RoomMethod:

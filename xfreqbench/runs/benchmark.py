@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from runpy import run_module
 from types import MappingProxyType
@@ -199,18 +200,15 @@ def cost(benchmark: Benchmark, num_places: int) -> str:
     measurements.
     """
     preset = benchmark.preset
-    runs_s = sum(
-        _num_splits(block) * len(block.seeds) * sum(_run_seconds(block, setting) for setting in block.settings)
-        for block in preset.blocks
-    )
+    seconds = {run: _run_seconds(block, run[3]) for block in preset.blocks for run in _runs(block)}
     benches_s = sum(60.0 * BENCH_COMMANDS[name][1] for name in preset.benches)
-    num_runs = sum(map(_num_runs, preset.blocks))
-    num_fits = sum(_num_runs(block) for block in preset.blocks if block.budget)
+    num_fits = sum(budget is not None for *_, budget in seconds)
     is_all = benchmark.predictions == "all"
     num_bytes = sum(  # if every split tests every transmitter once
-        _num_runs(block) // (1 if is_all else len(block.seeds)) * len(plan.tx_position_m) * 90 * 360 * 2
-        for block in preset.blocks
-        if (plan := benchmark.plans.get(block.scene)) and (is_all or block.scene == preset.blocks[0].scene)
+        len(plan.tx_position_m) * 90 * 360 * 2
+        for scene, *_, seed, _ in seconds
+        if (plan := benchmark.plans.get(scene))
+        and (is_all or (scene, seed) == (preset.blocks[0].scene, preset.blocks[0].seeds[0]))
     )
     return "\n".join(
         [
@@ -222,8 +220,8 @@ def cost(benchmark: Benchmark, num_places: int) -> str:
                 f"{in_hours(number * _ROOM_S / num_places)}, of which are used whichever are there already"
                 for family, number in preset.num_rooms.items()
             ),
-            f"{num_runs} runs, {num_fits} of them fits with a budget, {num_places} at a time, and "
-            f"{len(preset.benches)} measurements: about {in_hours(runs_s / num_places + benches_s)}; "
+            f"{len(seconds)} runs, {num_fits} of them fits with a budget, {num_places} at a time, and "
+            f"{len(preset.benches)} measurements: about {in_hours(sum(seconds.values()) / num_places + benches_s)}; "
             f"{num_bytes / 1e9:.0f} GB of predictions" + ("" if is_all else " stay"),
         ]
     )
@@ -236,7 +234,7 @@ def _run_seconds(block: Block, setting: Setting) -> float:
     if block.protocol in ROOM_PROTOCOLS:  # one fit for all splits, or a fit in every room
         fit_s = budget.max_seconds or (budget.max_maps or 0) * a_map
         is_across = isinstance(build_method(setting.method, setting.overrides), RoomMethod)
-        return fit_s * (1 / _num_splits(block) if is_across else _TESTED_ROOMS) + _TESTED_ROOMS * _SCORED_S
+        return fit_s * (1 / len(_splits(block)) if is_across else _TESTED_ROOMS) + _TESTED_ROOMS * _SCORED_S
     overhead = _BESIDE_FIT_S if block.budget else _TRIVIAL_S
     maps = budget.max_maps or (budget.max_steps or 0) * _MAPS_A_STEP
     return (budget.max_seconds or maps * a_map) + overhead
@@ -317,23 +315,26 @@ def _contents(block: Block) -> tuple[str, ...]:
         for setting in block.settings
     ]
     seeds = ", ".join(map(str, block.seeds))
-    counts = str(_num_splits(block)), ", ".join(methods), seeds, block.budget or "none", str(_num_runs(block))
-    return (block.scene, block.protocol, *counts)
+    counts = len(_splits(block)), ", ".join(methods), seeds, block.budget or "none", len(_runs(block))
+    return (block.scene, block.protocol, *map(str, counts))
 
 
-def _num_splits(block: Block) -> int:
-    """Number of splits of a block's protocol on the paper's carriers; of rooms, with a held-out type."""
+def _splits(block: Block) -> Sequence[float]:
+    """The splits of a block's protocol on the paper's carriers: of lofo its targets, of others numbers.
+
+    Rooms have those with a held-out type, too.
+    """
     if block.protocol in ROOM_PROTOCOLS:
-        return 2 * len(NUMS_HEARD)
+        return range(2 * len(NUMS_HEARD))
     if block.protocol not in ("lofo", "lofo-unseen-tx"):
-        return len(SPARSE_TRAINING_GHZ) if block.protocol == "sparse" else 1
-    if block.targets_ghz == "all":
-        return len(_PAPER_HZ)
-    return len(block.targets_ghz or LOFO_TARGETS_GHZ)
+        return range(len(SPARSE_TRAINING_GHZ) if block.protocol == "sparse" else 1)
+    return PAPER_CARRIERS_GHZ if block.targets_ghz == "all" else block.targets_ghz or LOFO_TARGETS_GHZ
 
 
-def _num_runs(block: Block) -> int:
-    return _num_splits(block) * len(block.settings) * len(block.seeds)
+def _runs(block: Block) -> list[tuple[str, str, float, Setting, int, str | None]]:
+    """Scene, protocol, split, setting, seed and budget of each run of a block; two blocks may have the same."""
+    every = product((block.scene,), (block.protocol,), _splits(block), block.settings, block.seeds, (block.budget,))
+    return list(every)
 
 
 def _data_line(benchmark: Benchmark, scene: str) -> str:

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from xfreqbench.methods.rooms import PerRoom
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task
 from xfreqbench.runs.records import Job
+from xfreqbench.runs.rooms import RoomTask
 from xfreqbench.system.workers import SERIAL, require_executor
 
 OVERHEAD_S = 13.0  # what a run takes besides its fit: start, learning curve, predictions and scores
@@ -20,17 +22,21 @@ LONG_S = 600.0
 class Estimate:
     """Runs that are asked for, and those of them that are left; `str` says it in a line.
 
-    `num_places` is the number of runs at a time, None where only a cluster knows.
+    `num_fits` is how often each of those spends its budget. `num_places` is the number of runs at a time, None where
+    only a cluster knows.
     """
 
     num_asked: int
     left: tuple[Job, ...]
     num_places: int | None = 1
+    num_fits: tuple[int, ...] | None = None  # once each
 
     @property
     def seconds(self) -> float:
         """The most that the runs with a budget in seconds take, one after the other; other fits may take any time."""
-        return sum(OVERHEAD_S + (0.0 if _is_trivial(job) else job.budget.max_seconds or 0.0) for job in self.left)
+        times = self.num_fits or (1,) * len(self.left)
+        limits = (0.0 if _is_trivial(job) else job.budget.max_seconds or 0.0 for job in self.left)
+        return sum(OVERHEAD_S + limit * number for limit, number in zip(limits, times, strict=True))
 
     @property
     def is_long(self) -> bool:
@@ -59,8 +65,15 @@ def estimate_runs(tasks: Sequence[Task], results_dir: Path, executor: str = SERI
     """
     require_executor(executor)
     folder = ResultsFolder(results_dir)
-    left = tuple(task.job for task in tasks if folder.finished(task.id) is None)
-    return Estimate(len(tasks), left, _num_places(executor))
+    left = [task for task in tasks if folder.finished(task.id) is None]
+    across, num_fits = set[str](), []
+    for task in left:
+        if not isinstance(task, RoomTask) or isinstance(task.method, PerRoom):  # which is fitted in each room
+            num_fits.append(len(task.split.rooms) if isinstance(task, RoomTask) else 1)
+        else:
+            num_fits.append(0 if task.fit_id in across else 1)
+            across.add(task.fit_id)
+    return Estimate(len(tasks), tuple(task.job for task in left), _num_places(executor), tuple(num_fits))
 
 
 def in_hours(seconds: float) -> str:

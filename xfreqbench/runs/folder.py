@@ -18,6 +18,7 @@ from pathlib import Path
 
 from pydantic import InstanceOf
 
+from xfreqbench.data.unseen_rooms import ROOM_PROTOCOLS
 from xfreqbench.errors import ClusterError, DataError
 from xfreqbench.methods.contract import Method
 from xfreqbench.methods.registry import build_method
@@ -142,8 +143,14 @@ class ResultsFolder:
 
     def fitted(self, record_id: str) -> CheckpointFolder:
         """The method that the run with an id has fitted."""
-        advice = f"Delete {self.predictions_path(record_id)} and run the same again, which stores both."
-        return CheckpointFolder(self.path / _METHODS / record_id, record_id, "method", advice)
+        path = self.path / _METHODS / record_id
+        advice = f"Delete {self.predictions_path(record_id)} and {path}, and run the same again, which stores both."
+        return CheckpointFolder(path, record_id, "method", advice)
+
+    def fitted_across_rooms(self, fit_id: str) -> CheckpointFolder:
+        """The method that several runs share, which is fitted to rooms."""
+        path = self.path / _METHODS / fit_id
+        return CheckpointFolder(path, fit_id, "method", f"Delete {path} and run the same again, which fits anew.")
 
     def run_lock_path(self, record_id: str) -> Path:
         """The file of `lock`, which holds what that yields as long as the lock is held."""
@@ -187,6 +194,8 @@ def load_method(results: FilePath, run: str | InstanceOf[RunRecord]) -> Method:
     if not found:
         raise DataError(f"{folder.records_path} has no run {record_id!r}; xfreqbench.read_records lists its runs.")
     job, stored = found[-1].job, folder.fitted(record_id)
+    if job.protocol.startswith(ROOM_PROTOCOLS):
+        raise DataError(f"Run {record_id} is of protocol {job.protocol}: its method is adapted to each room, not kept.")
     if stored.read() is None:
         elsewhere = found[-1].external is not None
         advice = "Its predictions were made elsewhere." if elsewhere else stored.advice

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -22,6 +20,7 @@ from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, code_sha256
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import Job
+from xfreqbench.system.files import json_sha256
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +89,7 @@ class Task:
             asdict(self.job.budget),
             METRICS_VERSION,
         ]
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+        return json_sha256(content)[:16]
 
     @property
     def warning(self) -> str | None:

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
-from xfreqbench.data.splits import LOFO_TARGETS_GHZ
+from xfreqbench.data.splits import LOFO_TARGETS_GHZ, TargetsGhz
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.units import PAPER_CARRIERS_GHZ
-
-TargetsGhz = tuple[float, ...] | Literal["all"] | None
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,6 @@ A room that is done is kept, so that a run that was killed goes on at the next o
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -49,7 +47,7 @@ from xfreqbench.runs.predictions import fault_of_maps, require_no_others
 from xfreqbench.runs.records import Job, RunRecord, utc_now
 from xfreqbench.runs.scoring import by_group, summary
 from xfreqbench.system import machine
-from xfreqbench.system.files import atomic_path
+from xfreqbench.system.files import atomic_path, json_sha256
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
 SCHEMA = "xfreqbench/room-predictions/1"
@@ -92,7 +90,7 @@ class RoomTask(Task):
 
     def _hash(self, *more: str) -> str:
         content = [self.job.method, self.code_sha256, self.config, self.job.seed, asdict(self.job.budget), *more]
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+        return json_sha256(content)[:16]
 
     def new_method(self) -> RoomMethod:
         """Another untrained method."""
@@ -159,7 +157,7 @@ def _fitted(
     task: RoomTask, folder: ResultsFolder, fitting: FitProgress | None, require_claim: Callable[[], None]
 ) -> tuple[RoomMethod, Fit]:
     """The method fitted across rooms, here or before, and how its fit stood at its end."""
-    stored, unfinished = folder.fitted(task.fit_id), folder.checkpoints(task.fit_id)
+    stored, unfinished = folder.fitted_across_rooms(task.fit_id), folder.checkpoints(task.fit_id)
     while (done := stored.read()) is None:
         try:
             with folder.lock(task.fit_id):
@@ -317,8 +315,8 @@ def _record(task: RoomTask, path: Path, method: RoomMethod, fit: Fit) -> RunReco
     return RunRecord(
         id=task.id,
         job=task.job,
-        dataset_sha256=hashlib.sha256(json.dumps([each.sha256 for each in told.rooms]).encode()).hexdigest(),
-        recipe=f"data-{hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()}",
+        dataset_sha256=json_sha256([each.sha256 for each in told.rooms]),
+        recipe=f"data-{json_sha256(recipe)}",
         scene=told.name,
         pas_kind=task.split.rooms[0].header.pas_kind,
         settings={

@@ -28,6 +28,7 @@ from xfreqbench.errors import (
     DataError,
     InUseError,
     MethodError,
+    ProtocolError,
     RunsFailedError,
     XFreqBenchError,
     was_interrupted,
@@ -132,6 +133,10 @@ def asked_tasks(
     named = [(name, (*options, *device_option(name, device))) for name, options in options_by_name.items()]
     limit = budget if isinstance(budget, Budget) else parse_budget(budget)
     if protocol in ROOM_PROTOCOLS:
+        chosen = {"target carrier": targets_ghz, "receiver": receiver, "polarization": polarization}
+        for what, value in chosen.items():
+            if value is not None:
+                raise ProtocolError(f"Protocol {protocol!r} has no {what} to choose, but got {value!r}. Leave it out.")
         rooms = data if isinstance(data, Collection) else open_collection(data)
         return [*room_tasks(str(rooms.path), rooms, named, protocol, seeds, limit, on)]
     if isinstance(data, Collection):
@@ -254,10 +259,10 @@ def run_jobs(
                 if record:
                     try:
                         record = folder.keep(record, keeps_predictions(task.job))
-                    except ClusterError as lost:
+                    except XFreqBenchError as lost:
                         error, record = lost, None
                 if error:
-                    errors[f"{task.job.method} on {task.job.split}, seed {task.job.seed}"] = error
+                    errors[_words(task) if _words(task) not in errors else f"{_words(task)} ({task.id})"] = error
                 locks.pop(task.id).close()
                 end(task, record)
         finally:
@@ -273,6 +278,12 @@ def run_jobs(
     if errors:
         raise RunsFailedError(errors, len(asked))
     return [records[task.id] for task in tasks]
+
+
+def _words(task: Task) -> str:
+    """What a task is called in errors."""
+    job = task.job
+    return f"{' '.join([job.method, *job.overrides])} on {job.split} of {Path(job.dataset).name}, seed {job.seed}"
 
 
 class _Claim(NamedTuple):
@@ -350,13 +361,13 @@ def run_one(
     """
     path = folder.predictions_path(task.id)
     require_no_others(path)
+    kept = folder.fitted(task.id)
+    kept.remove()  # what a run that was killed has left
     task_fit = TaskFit(task, folder.checkpoints(task.id), fitting, require_claim)
     machine.reset_peak_memory()
     fit = task_fit.run()
     require_claim()
     method, clock = task_fit.method, Stopwatch()
-    kept = folder.fitted(task.id)
-    kept.remove()  # what a run that was killed has left
     with task.method_errors("save"):
         kept.write(method, fit, task_fit.curve)
     write_predictions(

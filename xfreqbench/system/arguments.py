@@ -119,9 +119,6 @@ FilePath = Annotated[str | Path, PlainValidator(_path)]
 CarriersGhz = Annotated[
     Sequence[Annotated[float, AfterValidator(_carrier_ghz)]], BeforeValidator(listed), Field(min_length=1)
 ]  # one carrier is a list of one
-Numbers = Annotated[
-    Sequence[Annotated[float, Field(gt=0, le=1e15)]], BeforeValidator(listed), Field(min_length=1)
-]  # carriers: one number is a list of one
 WholeNumbers = Annotated[
     Sequence[Annotated[int, Field(ge=0, lt=2**63)]], BeforeValidator(listed), Field(min_length=1)
 ]  # seeds: one number is a list of one

@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
@@ -67,15 +68,18 @@ def _compile_beside(module: str, name: str, sig: Any) -> bool:
     """Have this process's compiler compile a kernel for types of arguments; return whether it did."""
     if _IS_COMPILER in os.environ:
         return False
-    try:
-        compiler = _compilers.get(os.getpid())
-        if compiler is None or compiler.poll() is not None:
-            compiler = _compilers[os.getpid()] = _started()
-        pickle.dump((module, name, sig), compiler.stdin)
-        compiler.stdin.flush()
-        return bool(compiler.stdout.read(1))
-    except OSError:  # it has ended, or cannot be started
-        return False
+    asked = pickle.dumps((module, name, sig))
+    for _ in range(2):  # one that was idle may end at this moment
+        with suppress(OSError):
+            compiler = _compilers.pop(os.getpid(), None)  # and forgotten, unless its answer has come
+            if compiler is None or compiler.poll() is not None:
+                compiler = _started()
+            compiler.stdin.write(asked)
+            compiler.stdin.flush()
+            if compiler.stdout.read(1):
+                _compilers[os.getpid()] = compiler
+                return True
+    return False
 
 
 def _started() -> Any:

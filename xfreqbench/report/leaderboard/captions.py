@@ -25,8 +25,9 @@ _LEADERBOARD_TERMS = {
     "Student's t. Of a hundred pairs of equally good methods, about five are still told apart by chance. A bound that "
     "decides which is better, and that is not known to a tenth of its distance from zero, is taken from 16,000 "
     "resamples, and as 0 where these do not suffice",
-    "rank": "the best and the worst place that the intervals of the differences allow; not corrected for the number of "
-    f"comparisons. A dash: fewer than {MIN_SEEDS} seeds, so no rank (a trivial predictor needs no seed)",
+    "rank": "the best and the worst place that the intervals of the differences allow, in a table that is sorted by "
+    f"averages; not corrected for the number of comparisons. A dash: fewer than {MIN_SEEDS} seeds, so no rank (a "
+    "trivial predictor needs no seed)",
 }
 _OTHER_TERMS = {
     "seeds**, **± seeds": "fits of each split, over which every number is a mean, and the standard deviation of the "

@@ -219,5 +219,9 @@ def _missing_predictions(board: Board, absent: Mapping[str, RunRecord]) -> str:
     on += f" --receiver {shlex.quote(job.receiver)}" if job.receiver else ""
     on += f" --polarization {job.polarization}" if job.polarization else ""
     protocol = VALIDATIONS.get(job.protocol, job.protocol)
-    command = f"xfreqbench run --data {job.dataset} --method {methods} --protocol {protocol}{on} --results FOLDER"
-    return f"Without stored predictions: {', '.join(absent)}. `{command}` stores them."
+    data = shlex.quote(job.dataset)
+    command = f"xfreqbench run --data {data} --method {methods} --protocol {protocol}{on} --results FOLDER"
+    return (
+        f"Without stored predictions: {', '.join(absent)}. `{command}`, with the targets, seeds, budget and options of "
+        "these runs, stores them."
+    )

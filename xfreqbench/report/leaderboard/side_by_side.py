@@ -65,11 +65,15 @@ def compare_results(a: Path, b: Path) -> str:
     )
     sections = [section for key in of_a if key in of_b and (section := _section(of_a[key], of_b[key]))]
     if not sections:
-        raise DataError(f"Nothing in {a} and {b} can be compared: {_content_of(of_a)}; and {_content_of(of_b)}.")
+        content = _content_of(of_a) or "no board", _content_of(of_b) or "no board"
+        raise DataError(
+            f"Nothing in {a} and {b} can be compared: {'; and '.join(content)}. Runs in rooms that were never seen are "
+            "compared by `xfreqbench report` alone."
+        )
     return "\n\n".join([f"A: {a}, B: {b}", *sections])
 
 
-NOTHING_WORSE = "Nothing: no interval of a difference lies below zero."
+NOTHING_WORSE = "Nothing: no interval of a difference lies below zero (rooms that were never seen are not compared)."
 WORSE_HEADER = ("board", "method", "before", "now", "difference, 95 % interval", "what is different")
 
 

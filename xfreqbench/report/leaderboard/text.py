@@ -17,6 +17,7 @@ from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.report import leaderboard_summary
 from xfreqbench.report.leaderboard.results import read_results, results_at
 from xfreqbench.report.leaderboard.tables import table_rows, write_csv
+from xfreqbench.report.leaderboard.unseen_rooms import is_of_rooms
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import atomic_path, require_own, storage_errors
@@ -68,7 +69,10 @@ def leaderboard(results: FilePath | Sequence[InstanceOf[RunRecord]] | Sequence[F
         raise DataError("A leaderboard has records, but none are given.")
     records = [item for item in given if isinstance(item, RunRecord)]
     paths = [results_at(item) for item in given if not isinstance(item, RunRecord)]
-    return Leaderboard(tuple(records) or read_results(paths).records)
+    found = tuple(records) or read_results(paths).records
+    if all(map(is_of_rooms, found)):
+        raise DataError("All records are of unseen rooms, which have no leaderboard; `xfreqbench report` has tables.")
+    return Leaderboard(found)
 
 
 def write_tables(comparisons: Iterable[Comparison], output_csv: Path) -> None:

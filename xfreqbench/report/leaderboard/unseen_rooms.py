@@ -7,15 +7,19 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from itertools import compress, groupby
 from math import inf, isnan, nan
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from xfreqbench.data.recipe import recipe_name
 from xfreqbench.data.unseen_rooms import ASKED_GHZ, NUMS_HEARD, ROOM_PROTOCOLS
 from xfreqbench.maps.metrics import NUM_RESAMPLES, skill
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.report.drawing.markdown import ABSENT, prose, table
+from xfreqbench.report.leaderboard.captions import machine_names
 from xfreqbench.report.leaderboard.figures import bench_figure
+from xfreqbench.report.leaderboard.origins import short_commit
 from xfreqbench.report.leaderboard.rows import budget_text
 from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, RunRecord
 from xfreqbench.runs.rooms import NUM_ROOMS, ROOM_SECONDS, ROOM_SIGHT, ROOM_TYPES
@@ -43,24 +47,43 @@ def is_of_rooms(record: RunRecord) -> bool:
 
 
 def room_tables(records: Iterable[RunRecord]) -> list[BenchRecord]:
-    """Tables of the records that are of rooms, of each collection and protocol, most general first."""
+    """Tables of the records that are of rooms, of each collection and protocol, most general first.
 
-    def board(record: RunRecord) -> tuple[str, ...]:
-        return record.scene, record.dataset_sha256, record.job.protocol
+    Of several collections of a family, those with most rooms to train on come first.
+    """
+
+    def place(record: RunRecord) -> tuple[str, str]:
+        return record.scene, record.job.protocol
+
+    def board(record: RunRecord) -> tuple[Any, ...]:
+        num_rooms = -int(record.settings["rooms_trained_on"])
+        return *place(record), num_rooms, record.recipe, record.protocol_version, record.metrics_version
 
     ordered = sorted(filter(is_of_rooms, records), key=lambda record: (board(record), record.time_utc))
-    return [table for _, found in groupby(ordered, key=board) for table in _tables(list(found))]
+    found = [list(group) for _, group in groupby(ordered, key=board)]
+    num_boards = Counter(place(group[0]) for group in found)
+    return [
+        table
+        for group in found
+        for table in _tables(
+            group, recipe_name("", group[0].recipe).strip("@") if num_boards[place(group[0])] > 1 else ""
+        )
+    ]
 
 
-def _tables(records: Sequence[RunRecord]) -> list[BenchRecord]:
+def _tables(records: Sequence[RunRecord], data: str) -> list[BenchRecord]:
+    """Tables of one board; `data` tells it from others of its family, and is empty where there are none."""
     budgets: dict[str, set[str]] = {}
+    seeds: dict[str, set[int]] = {}
     for record in records:
         budgets.setdefault(_without_choice(_name(record)), set()).add(budget_text(record.job.budget))
+        seeds.setdefault(_name(record), set()).add(record.job.seed)
     runs: _Runs = {}
     for record in records:
-        name, budget = _name(record), budget_text(record.job.budget)
-        is_one_of_several = len(budgets[_without_choice(name)]) > 1 and name not in EVERY_TRIVIAL
-        label = f"{name}, {budget}" if is_one_of_several else name
+        label = name = _name(record)
+        if name not in EVERY_TRIVIAL:
+            label += f", {budget_text(record.job.budget)}" if len(budgets[_without_choice(name)]) > 1 else ""
+            label += f", seed {record.job.seed}" if len(seeds[name]) > 1 else ""
         runs.setdefault((_part(record), label), {})[int(record.job.split.rpartition("-")[2])] = record
 
     def standing(row: tuple[str, str]) -> tuple[bool, float]:
@@ -71,6 +94,10 @@ def _tables(records: Sequence[RunRecord]) -> list[BenchRecord]:
     carriers = {format_ghz(ghz_to_hz(each)): _at_carrier(each) for each in ASKED_GHZ}
     types = sorted({str(each) for record in records for each in record.settings[ROOM_TYPES]})
     last = records[-1]
+    commits = Counter(short_commit(record.git_commit) for record in records)
+    others = f" Commits: {', '.join(f'{commit} ({count} runs)' for commit, count in sorted(commits.items()))}."
+    machines = machine_names(records)
+    others = (others if len(commits) > 1 else "") + (f" Machines: {'; '.join(machines)}." if len(machines) > 1 else "")
     tables = []
     for what, choices, figure in (
         ("", {"": _unheard}, _figure(runs)),
@@ -91,10 +118,10 @@ def _tables(records: Sequence[RunRecord]) -> list[BenchRecord]:
         tables.append(
             BenchRecord(
                 bench=ROOMS,
-                title=f"{last.scene} · {last.job.protocol}" + (f" · by {what}" if what else ""),
+                title=" · ".join(filter(None, [last.scene, last.job.protocol, data, f"by {what}" if what else ""])),
                 command=f"xfreqbench run --data {last.job.dataset} --protocol {last.job.protocol} --methods … "
                 "--results results",
-                note=_note(last),
+                note=_note(last) + others,
                 columns=(*columns, *(f"{number} heard" for number in NUMS_HEARD), *_MORE),
                 rows=tuple(
                     row
@@ -247,8 +274,10 @@ def _drawn(x_label: str, points: Sequence[BenchPoint], log_x: bool) -> BenchFigu
 def rooms_overview(tables: Iterable[BenchRecord], page: str) -> list[str]:
     """The methods with most skill in rooms of the types trained on, in short: a section of a report, or none."""
     for found in tables:
-        if found.bench == ROOMS and found.title.endswith(ROOMS):
-            rows = [[row[0], *(cell.partition(",")[0] for cell in row[2:])] for row in found.rows if row[1] == _TRAINED]
+        if found.bench == ROOMS and found.title.split(" · ")[1] == ROOMS and " · by " not in found.title:
+            rows = [
+                [row[0], *(cell.partition(", ")[0] for cell in row[2:])] for row in found.rows if row[1] == _TRAINED
+            ]
             rows.sort(key=lambda row: "=" in row[0])  # methods as they are, before those with options
             columns = [column for column in found.columns if column != "rooms"]
             figure = f" ([figure]({page.rpartition('/')[0]}/{bench_figure(found)}))" if found.figure else ""

@@ -169,13 +169,13 @@ def plot_statistics(statistics: ChannelStatistics, name: str, output: Path) -> N
     """The figure of `draw_statistics`, of the data set of a name; raises `StorageError`."""
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     axes = figure.subplots(2, 3).ravel()
-    for axis, (name, (title, unit, beside)) in zip(axes, _PANELS.items(), strict=False):
+    for axis, (what, (title, unit, beside)) in zip(axes, _PANELS.items(), strict=False):
         for in_sight, (words, colour) in _SIGHTS.items():
             rows = [row for row in statistics.rows if row["in_sight"] == in_sight]
             carriers_ghz = [row["carrier_ghz"] for row in rows]
-            axis.plot(carriers_ghz, [row[f"{name}_{unit}"] for row in rows], "o", color=colour, label=words)
+            axis.plot(carriers_ghz, [row[f"{what}_{unit}"] for row in rows], "o", color=colour, label=words)
             for other in beside if rows else ():
-                values = [row[f"{name}_{other}_{unit}"] for row in rows]
+                values = [row[f"{what}_{other}_{unit}"] for row in rows]
                 label = _NAMES[other] if in_sight else None
                 axis.plot(carriers_ghz, values, linestyle=_STYLES[other], color=colour, label=label)
         axis.set(xscale="log", xlabel="carrier (GHz)")
