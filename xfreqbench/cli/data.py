@@ -96,7 +96,7 @@ def generate(
     seed: Annotated[
         int, Parameter(help="Seed of the rays and of the choice of transmitters, or of the first room.")
     ] = 1,
-    pas_kind: Annotated[str, Parameter(help="power, amplitude or phase-only.")] = "power",
+    pas_kind: Annotated[str, Parameter(help="What maps show: power, amplitude (its root) or phase-only.")] = "power",
     materials: Annotated[
         Literal["error", "extrapolate"], Parameter(help="What to do outside a material's P.2040 band.")
     ] = "error",

@@ -152,7 +152,7 @@ def bench_measured(
     every: Annotated[int, Parameter(help="Take each so many-th line of the file.")] = 1,
     solver: Annotated[Literal["auto", "image", "sionna"], Parameter(help="As of `generate`.")] = "auto",
     max_depth: Annotated[int, Parameter(help="Most interactions of a path.")] = 6,
-    seed: Annotated[int, Parameter(help="Seed of the tenth at which models are fitted.")] = 1,
+    seed: Annotated[int, Parameter(help="Chooses the tenth of the lines at which models are fitted.")] = 1,
     output: BenchOutput = None,
     quiet: Quiet = False,
 ) -> None:

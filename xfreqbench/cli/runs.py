@@ -90,7 +90,7 @@ def new_method(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write a package with a method that learns, its tests and a workflow, for you to change.
+    """Write a package with a method that learns and its tests, for you to change.
 
     Parameters
     ----------
@@ -102,7 +102,10 @@ def new_method(
     folder = output or Path(name)
     for path in write_method_package(name, folder, rooms):
         say(f"wrote {path}", quiet)
-    say(f"next: pip install --editable {folder}; python -m pytest {folder}; xfreqbench check-method {name}", quiet)
+    say(
+        f"next: pip install --editable '{folder}[dev]'; python -m pytest {folder}; xfreqbench check-method {name}",
+        quiet,
+    )
 
 
 @app.command(
@@ -119,7 +122,8 @@ def run(
         str,
         Parameter(
             name=["--methods", "--method"],
-            help="Names or package.module:Class, comma-separated; `all` for every installed one.",
+            help="Names or package.module:Class, comma-separated; `all` for every installed one, those that learn "
+            "across rooms on protocols of rooms alone.",
         ),
     ],
     protocol: Annotated[
@@ -147,7 +151,7 @@ def run(
     budget: Annotated[
         str,
         Parameter(
-            help="Fitting budget of every run: 300s, 5m, 2000steps, 64000maps, or a lane of the leaderboard: quick "
+            help="Fitting budget of every run: 300s, 5m, 2h, 2000steps, 64000maps, or a lane of the leaderboard: quick "
             "(64000maps), minutes (5m), converged (200000maps)."
         ),
     ] = "quick",
@@ -298,13 +302,13 @@ def report(
     maps: Annotated[
         Path | None,
         Parameter(
-            help="Write maps of a dozen test samples of each board here, from stored predictions; beside X.jsonl, "
-            "as X_maps.jsonl, they are shown without these."
+            help="Write maps of a dozen test samples of each board here, from stored predictions. Named X_maps.jsonl "
+            "beside records X.jsonl, they are shown where predictions are absent."
         ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Rebuild the leaderboard from the records of results folders, offline.
+    """Rebuild the leaderboard from the records of results folders; without addresses, offline.
 
     Parameters
     ----------
@@ -340,7 +344,7 @@ def report(
 def compare(a: str, b: str) -> None:
     """Set two results side by side, paired by transmitters: what differs, with its 95 % interval.
 
-    Rows of the same method, options and budget are paired, then rows that are alone with their method in A and in B,
+    Rows of the same method, options and budget are paired, then rows that are the only ones of their method in A and in B,
     and at last the only row left in A with the only one in B. If A is one row, as in `compare results/nearest results`,
     every row of B is compared with it.
 

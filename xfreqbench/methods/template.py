@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from xfreqbench.errors import MethodError
-from xfreqbench.methods.registry import method_names
+from xfreqbench.methods.registry import method_names, room_method_names
 from xfreqbench.system.files import atomic_folder
 
 TEMPLATE, ROOMS_TEMPLATE = "xfreqbench-method-template", "xfreqbench-rooms-template"
@@ -79,7 +79,7 @@ def _require_free(name: str, module: str, class_name: str, template: str) -> Non
         )
     taken = (
         f"there is an installed method {name!r}"
-        if name in method_names()
+        if name in (*method_names(), *room_method_names())
         else f"there is a module {module!r} already"
         if keyword.iskeyword(module) or module in _FOLDERS or find_spec(module)
         else f"the template has a {class_name} of its own"

@@ -65,7 +65,7 @@ class TrainingConfig:
     derive_targets: Annotated[bool, Doc("maps come from stored channels, not from disk")] = True
     averaging: Annotated[float, Limits(ge=0, lt=1), Doc("what a running mean of weights keeps")] = 0.0
     blend: Annotated[
-        Literal["auto", "none"], Doc("with the best trivial predictor, by weights from validation rows")
+        Literal["auto", "none"], Doc("with trivial predictors, by weights from held-out training rows")
     ] = "none"
     device: Annotated[str, Doc("where it computes: cpu, cuda or cuda:0")] = "cpu"
 
@@ -214,7 +214,7 @@ class LearnedMethod:
         return self._blend.maps(learned, tx_position_m, carrier_hz) if self._blend else learned
 
     def findings(self) -> dict[str, Any]:
-        """For each kind of query, with which trivial predictor maps are blended, and the weight of the learned maps."""
+        """For each kind of query, the weights of the learned maps and of the trivial predictors' in the blend."""
         if self._blend is None:
             return {}
         return {"blend": {kind: choice.model_dump(exclude_none=True) for kind, choice in self._blend.choices.items()}}
