@@ -108,7 +108,7 @@ class Holdout:
 
 
 def _drawn_carriers(inner_hz: Float[FloatArray, "F"], generator: np.random.Generator) -> Float[FloatArray, "n"]:
-    """Of carriers inside the band, half, rounded up, and three at most: one at random, and beside it the lowest, and the highest.
+    """Of carriers inside the band half, three at most: one at random, and beside it the lowest, and the highest.
 
     What is learned often fails at one end of the band alone.
     """
