@@ -1,4 +1,4 @@
-"""XFreq-GS with the choices of its paper and of its released code: random points, all pairs, one map a step."""
+"""XFreq-GS with the choices of its paper and of its released code: random points, all pairs, 32 maps a step."""
 
 from __future__ import annotations
 
@@ -49,8 +49,9 @@ class XFreqGSPaper(XFreqGS):
 
     Changed: carriers lie on a logarithmic axis without octaves (a fine encoding memorises nine carriers); the product
     along a direction is Π (1 − G(1 − δ)); positions move by their footprints' gradient alone; one rate for all of the
-    geometry, which falls as half a cosine with the others; Gaussians are divided by their pull, and dropped by their
-    contribution; attenuation is complex, as in the paper, not in the released code.
+    geometry, which falls as half a cosine with the others; Gaussians are neither divided nor dropped (with
+    `densify_every` they are divided by their pull, and dropped by their contribution); attenuation is complex, as in
+    the paper, not in the released code.
     """
 
     Config = XFreqGSPaperConfig

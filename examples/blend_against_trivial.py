@@ -62,7 +62,8 @@ def differences(data: xb.PasDataset, seeds: list[int]) -> Iterator[float]:
     for trained, target, num_tx in CASES:
         is_known = data.tx_index < num_tx
         is_trained = np.isin(ghz, trained) if trained else ghz != target
-        train, tested = data[is_known & is_trained].isolated(), data[is_known & (ghz == target) & data.has_path]
+        train, tested = (data[is_known & part & data.has_path] for part in (is_trained, ghz == target))
+        train = train.isolated()
         scores = []
         for make, budget, seed in [
             *((each, xb.Budget(), 0) for each in TRIVIAL),

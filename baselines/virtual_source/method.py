@@ -85,6 +85,9 @@ class VirtualSource(LearnedMethod):
         if self._instead is not None:
             yield from self._instead.fit(train, budget, seed)
             return
+        training = self._trained()
+        shown = self.maps_a_step(train) * training.step + self._render.count.maps  # of a fit that goes on
+        training.share = max(training.share, budget.share(training.step, 0.0, shown))
         steps = super().fit(train, budget, seed)
         with closing(steps), suppress(StopIteration):
             progress = next(steps)

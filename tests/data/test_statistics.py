@@ -122,6 +122,7 @@ def test_the_table_of_38901_is_that_of_tr3gpp(in_sight: bool) -> None:
         assert constant
         a, b = float(constant[1].replace(" ", "")), float(slope[1]) if slope else 0.0
         assert spread_by(TR38901_SPREADS, name, 24.25e9, in_sight) == pytest.approx(10 ** (a + b * np.log10(25.25)))
+        assert spread_by(TR38901_SPREADS, name, 1e9, in_sight) == spread_by(TR38901_SPREADS, name, 6e9, in_sight)
     if in_sight:
         assert float(theirs.mu_K) == TR38901_K_DB
     distance_m = np.array([1.0, 7.0, 60.0])
@@ -167,6 +168,9 @@ def test_the_local_mean_is_the_mean_power_of_transmitters_on_the_disc(
     mean_db = 10 * np.log10(np.mean(10 ** (dataset.power_db[1:] / 10)))
     assert dataset[:1].local_mean_db(radius_wavelengths) == pytest.approx(mean_db, abs=0.05)
     assert abs(dataset.power_db[0] - mean_db) > 0.3
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("xfreqbench.tracing.paths._BLOCK_PATHS", 2)  # of several times as many
+        np.testing.assert_allclose(dataset[:1].local_mean_db(radius_wavelengths), mean_db, atol=0.05)
     assert dataset.local_mean_db(math.inf) == pytest.approx(-dataset.statistics().links.path_loss_db[:, 0])
 
 

@@ -52,6 +52,7 @@ def test_columns_are_found_by_their_names_or_are_three_of_numbers(tmp_path: Path
         ("1,0;2,5;1,2\n", "decimal points"),
         ('"1,0","2,5","1,2"\n', "decimal points"),
         ("1.0,2.5\n3.5,1.5\n", "2 columns of numbers"),
+        ("tx1,1,2,3\nend\n", "0 columns of numbers"),
         ("1,2,3\n1,2,3,4\n", "line 2, is '1,2,3,4'"),
         ("x_mm,y_mm,z_mm\n1,2,3\n", "line 1, is 'x_mm, y_mm, z_mm', not x,y,z"),
         ("# x [mm], y [mm], z [mm]\n1,2,3\n", "line 1"),

@@ -86,8 +86,18 @@ def test_a_family_is_no_scene_and_ships_with_its_schema() -> None:
     ],
 )
 def test_a_family_that_cannot_be_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+    with pytest.raises(SceneError, match=words):
+        load_family(changed(tmp_path, old, new))
+
+
+def changed(folder: Path, old: str, new: str) -> Path:
     text = (shipped_folder() / "rooms.toml").read_text()
     assert old in text
-    (tmp_path / "mine.toml").write_text(text.replace(old, new, 1))
-    with pytest.raises(SceneError, match=words):
-        load_family(tmp_path / "mine.toml")
+    (folder / "mine.toml").write_text(text.replace(old, new, 1))
+    return folder / "mine.toml"
+
+
+def test_a_room_that_cannot_be_is_refused_in_words(tmp_path: Path) -> None:
+    family = load_family(changed(tmp_path, 'name = "rooms"', 'name = "rooms"\nrows = 65'))
+    with pytest.raises(SceneError, match=r"room 3 of family 'rooms' has no valid form:\n.*64"):
+        draw_room(family, 3)

@@ -186,6 +186,14 @@ def test_surfaces_that_scatter_otherwise_are_refused_where_they_overlap() -> Non
         check_overlaps(Geometry([floor, rough]))
 
 
+def test_an_array_on_both_sides_of_a_wall_is_refused() -> None:
+    scene = load_scene("flat")
+    scene, meshes = replace(scene, receiver=scene.receivers[3], other_receivers=()), surface_meshes(scene)
+    check_receiver(scene, meshes, 10e9)
+    with pytest.raises(PlacementError, match="'4': at 1 GHz a surface stands between"):
+        check_receiver(scene, meshes, 1e9)
+
+
 def test_an_array_too_wide_for_its_place_is_refused_at_the_low_carrier_only() -> None:
     scene = parse_scene(BOX.replace("[2.0, 2.0, 2.5]", "[0.7, 2.0, 1.0]"))
     meshes = surface_meshes(scene)

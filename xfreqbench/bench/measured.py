@@ -106,13 +106,20 @@ def bench_measured(
 ) -> None:
     """Print how far models of the power are from a measurement; see `_predictions` for the models.
 
-    Raises `SceneError` where transmitter and receiver have one place.
+    Raises `SceneError` where transmitter and receiver have one place, or no path arrives anywhere, and `DataError`
+    where a receiver has no power to fit.
     """
+    bench.introduce()
     prepared = PreparedScene.of(scene)
     settings = resolve_solver(prepared.geometry, settings)
     position_m, power_db = measurement.position_m, measurement.power_db
     fitted = np.zeros(len(position_m), bool)
     fitted[np.random.default_rng(seed).permutation(len(position_m))[: max(len(position_m) // 10, NUM_NEAREST)]] = True
+    for receiver, powers in zip(scene.receivers, power_db[fitted].T, strict=True):
+        if not np.isfinite(powers).any():
+            raise DataError(
+                f"No position of the tenth that is fitted has a power of {receiver.name}. Give another --seed."
+            )
     walls = np.stack(
         [_num_walls(prepared, receiver, position_m, carrier_hz[0]) for receiver in scene.receivers], axis=1
     )
@@ -223,6 +230,8 @@ def _traced_db(
                     power[1, d, n, r] += of_path[(length <= depth) & is_plain].sum()
                 done += 1
                 progress(done, total)
+    if not power.any():
+        raise SceneError("No path reaches a receiver from any measured position: these are not in this scene.")
     level_db = 10 * np.log10(np.maximum(power, power[power > 0].min()))  # where no path arrives, the weakest power
     has_edges = "diffraction" in settings.named_interactions
     models = {f"traced, depth {depth}": level_db[0, d] for d, depth in enumerate(depths)}

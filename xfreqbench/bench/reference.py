@@ -68,7 +68,7 @@ def read_reference(scene: Scene, path: Path | None = None) -> Reference:
     """The stored reference of a scene; raises `DataError` where it is missing, unfinished or of another scene."""
     path = path or reference_path(scene.name)
     if not path.exists():
-        raise DataError(f"{path} does not exist. Make it with: xfreqbench bench reference {scene.name}")
+        raise DataError(f"{path} does not exist. Make it with: xfreqbench bench reference {scene.name} (or its TOML)")
     reference = _read(path)
     if reference.about.get("scene_sha256") != meshes_sha256(surface_meshes(scene)):
         raise DataError(f"{path} was made of another version of {scene.name!r}. Delete it and make it anew.")

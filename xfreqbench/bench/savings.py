@@ -250,7 +250,7 @@ def larger_table(work: Workload) -> Saving:
 
 
 def _plain(work: Workload) -> ChannelArray:
-    """Channels by the public solver of Sionna RT, one call for each carrier."""
+    """Channels by the public solver of Sionna RT, one call for each transmitter and carrier."""
     from xfreqbench.tracing.sionna.plain import plain_channel
 
     settings = work.settings

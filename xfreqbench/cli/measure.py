@@ -52,6 +52,9 @@ def bench_generate(
     """Print the error of generated maps against run time, relative to the stored reference."""
     from xfreqbench.bench import solvers as convergence
 
+    unused = "--solvers" if against_plain and solvers != "image,sionna" else "--tx" if tx and not against_plain else ""
+    if unused:
+        raise XFreqBenchError(f"{unused} has no meaning {'with' if against_plain else 'without'} --against-plain.")
     if against_plain:
         bench = _bench("generate", output, scene, kind="plain", against_plain=True, tx=tx, plain_tx=plain_tx)
         convergence.bench_against_plain(bench, scene, tx, plain_tx)
@@ -189,15 +192,17 @@ def bench_measured(
 def bench_reference(scene: str = "office", *, output: Output | None = None, quiet: Quiet = False) -> None:
     """Compute the reference of a scene by plain PathSolver calls, in 20 minutes; a killed run goes on where it was.
 
-    That of a scene with meshes is computed by solver `image` with eight times the rays, in a minute or two.
+    That of a scene with meshes is computed by solver `image` with eight times the rays, in a minute or two. Without
+    --output it is written into the installed package, beside the shipped scenes, where `bench generate` looks for it.
     """
     from xfreqbench.bench.reference import make_reference, reference_path
     from xfreqbench.scene.model import load_scene
     from xfreqbench.system.bars import progress_bars
 
-    path = output or reference_path(scene)
-    with progress_bars("calls", [f"reference of {scene}"], quiet) as (progress,):
-        make_reference(load_scene(scene), path, progress)
+    loaded = load_scene(scene)
+    path = output or reference_path(loaded.name)
+    with progress_bars("calls", [f"reference of {loaded.name}"], quiet) as (progress,):
+        make_reference(loaded, path, progress)
     say(f"wrote {path}", quiet)
 
 

@@ -345,8 +345,8 @@ def compare(a: str, b: str) -> None:
     """Set two results side by side, paired by transmitters: what differs, with its 95 % interval.
 
     Rows of the same method, options and budget are paired, then rows that are the only ones of their method in A and in
-    B, and at last the only row left in A with the only one in B. If A is one row, as in `compare results/nearest results`,
-    every row of B is compared with it.
+    B, and at last the only row left in A with the only one in B. If A is one row, as in
+    `compare results/nearest results`, every row of B is compared with it.
 
     Parameters
     ----------

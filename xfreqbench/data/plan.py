@@ -262,7 +262,7 @@ def _pairs(polarizations: Sequence[str] | None) -> tuple[PolarizationPair, ...]:
         names = tuple(sent + heard for sent in names for heard in names)
     for name in names:
         if name not in POLARIZATION_PAIRS:
-            raise UnknownNameError("polarization", name, ("V", "H", *POLARIZATION_PAIRS))
+            raise UnknownNameError("pair of polarizations", name, POLARIZATION_PAIRS)
     return cast("tuple[PolarizationPair, ...]", names)
 
 

@@ -51,11 +51,15 @@ def p1238_path_loss_db(distance_m: Float[FloatArray, "n"], carrier_hz: float, in
 def spread_by(
     table: Mapping[str, tuple[tuple[float, float], tuple[float, float]]], name: str, carrier_hz: float, in_sight: bool
 ) -> float:
-    """The median spread of a table above, in seconds or degrees; nan where it has none of that name."""
+    """The median spread of a table above, in seconds or degrees; nan where it has none of that name.
+
+    Below 6 GHz, 38.901 takes that of 6 GHz indoors.
+    """
     if name not in table:
         return float("nan")
     constant, slope = table[name][0 if in_sight else 1]
-    return float(10 ** (constant + slope * np.log10(1 + carrier_hz / 1e9)))
+    carrier_ghz = carrier_hz / 1e9 if table is not TR38901_SPREADS else max(6.0, carrier_hz / 1e9)
+    return float(10 ** (constant + slope * np.log10(1 + carrier_ghz)))
 
 
 def mmmagic_k_db(carrier_hz: float) -> float:

@@ -234,7 +234,8 @@ def of_paths(paths: RaggedPaths, carrier: int, window_db: float = WINDOW_DB) -> 
     # what tiles scatter counts together, whatever their size
     diffuse = mechanism == MECHANISMS.index("diffuse")
     step = tx * _DELAY_STEPS + np.minimum(paths.delay_s * 1e9, _DELAY_STEPS - 1).astype(np.int64)
-    together = np.bincount(step, power * diffuse, num_tx * _DELAY_STEPS)[step]
+    nth = np.unique(step, return_inverse=True)[1].ravel()
+    together = np.bincount(nth, power * diffuse)[nth]
     near = np.where(np.where(diffuse, together, power) >= least, power, 0.0)
 
     def total(weights: Float[FloatArray, "P"]) -> Float[FloatArray, "T"]:

@@ -138,8 +138,8 @@ CONVENTIONS = {
         last_column_deg=180,
         values="amplitude",
         plane="yz",
-        read_in="measured on the published example of Wideband3DGS (tests/test_interchange.py); its receiver is not "
-        "turned, so that the quaternion's order is that of its relatives",
+        read_in="measured on the published example of Wideband3DGS (tests/exchange/test_against_wideband3dgs.py); "
+        "its receiver is not turned, so that the quaternion's order is that of its relatives",
     ),
     "xfreq-gs": Convention(
         rows="polar",

@@ -36,7 +36,10 @@ def export_link_table(
     `DataError` for a data set of maps alone, `XFreqBenchError` where pyarrow is not installed, and `StorageError`.
     """
     require_own(output, lambda _: "is not written over.")
-    write = _write_parquet if output.suffix == ".parquet" else _write_csv
+    write = _write_csv
+    if output.suffix == ".parquet":
+        pyarrow_here()
+        write = _write_parquet
     dataset = open_dataset(path)
     links, parts = list(dataset.links()), []
     for done, link in enumerate(links, start=1):

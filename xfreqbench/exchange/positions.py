@@ -93,7 +93,7 @@ def _unnamed_columns(path: Path, rows: list[list[str]]) -> list[int]:
     """The three columns that hold numbers, where the others hold words or nothing, and the first counts no lines."""
     columns = list(zip(*rows, strict=False))
     held = [n for n, cells in enumerate(columns) if not all(map(_is_word, cells))]
-    first = list(columns[held[0]])
+    first = list(columns[held[0]]) if held else []
     counts = first in ([str(n + start) for n in range(len(rows))] for start in (0, 1))
     is_index = counts and any("." in cell for n in held[1:] for cell in columns[n])
     is_header = [rows[0][n] for n in held] == ["0", "1", "2"]  # as pandas names the columns of an array

@@ -6,6 +6,7 @@ import io
 import json
 import tarfile
 from collections.abc import Mapping
+from math import degrees
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,6 +16,7 @@ from xfreqbench.data.collection import PARTS, Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.exchange.link_table import pyarrow_here
+from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.types import IntArray, NDArray, ProgressCallback, ignore_progress
 
@@ -27,6 +29,9 @@ configs:
 ---
 {name}: {number} power angular spectra of {rows} elevations (rows) × {columns} azimuths, with peak 1, in half precision.
 Of each: `tx_position_m` (x, y, z), `carrier_hz`, `peak_power` by which the map was divided{cfr}{room}.
+Rows are elevations from {low:g} to {high:g} degrees, columns azimuths from {first:g} to {last:g}, in even steps, in
+the frame of the array.
+{array}
 
 ```python
 {code}
@@ -140,11 +145,23 @@ def _write_parquet(path: Path, columns: Columns, first: int) -> None:
     arrow.parquet.write_table(arrow.table(arrays), path.with_suffix(".parquet"), row_group_size=100)
 
 
+def _array(receiver: ReceiverArray) -> str:
+    position_m, rotation, elements = (
+        np.round(values, 6).tolist()
+        for values in (receiver.position_m, receiver.rotation, receiver.element_position_wavelengths)
+    )
+    return (
+        f"The array is at {position_m} m; {rotation} takes its frame to the world, and its elements are at "
+        f"{elements} wavelengths in its frame."
+    )
+
+
 def _readme(splits: Mapping[str, PasDataset | Collection], total: int, to: str) -> str:
     ending = ".tar" if to == "webdataset" else ".parquet"
     split, data = next(iter(splits.items()))
     one = data[0] if isinstance(data, Collection) else data
     rows, columns = one.grid.shape
+    elevation_rad, azimuth_rad = one.grid.elevation_rad, one.grid.azimuth_rad
     return _README.format(
         splits="\n".join(f"  - split: {name}\n    path: {name}-*{ending}" for name in splits),
         name=f"rooms of family {data.record.name}" if isinstance(data, Collection) else data.recipe,
@@ -153,5 +170,10 @@ def _readme(splits: Mapping[str, PasDataset | Collection], total: int, to: str) 
         columns=columns,
         cfr=_CFR if one.header.channels else "",
         room=_ROOM if isinstance(data, Collection) else "",
+        low=degrees(elevation_rad[0]),
+        high=degrees(elevation_rad[-1]),
+        first=degrees(azimuth_rad[0]),
+        last=degrees(azimuth_rad[-1]),
+        array="" if isinstance(data, Collection) else _array(one.header.receiver),
         code=_CODE[to].format(split=split, rows=rows, columns=columns),
     )

@@ -18,7 +18,7 @@ from pydantic import Field
 from xfreqbench.errors import PlacementError, SceneError
 from xfreqbench.scene.dice import Dice
 from xfreqbench.scene.families import Family, Fraction3, Piece, RoomType, Slabs, load_family
-from xfreqbench.scene.model import Point, ReceiverArray, Scene, Surface
+from xfreqbench.scene.model import Point, ReceiverArray, Scene, Surface, form_errors
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.types import FloatArray
 
@@ -77,9 +77,15 @@ class DrawnRoom:
 def draw_room(family: FilePath | Family, seed: Annotated[int, Field(ge=0, lt=2**63)]) -> DrawnRoom:
     """The room that a seed draws from a family, which is given by name, path or itself.
 
-    Raises as `load_family`, and `SceneError` for a family that leaves no place for the array.
+    Raises as `load_family`, and `SceneError` for a family that leaves no place for the array, or of which a room has no
+    valid form.
     """
     family = family if isinstance(family, Family) else load_family(family)
+    with form_errors(f"room {seed} of family {family.name!r}"):
+        return _drawn(family, seed)
+
+
+def _drawn(family: Family, seed: int) -> DrawnRoom:
     dice = Dice(seed)
     kind = family.type_of(seed)
     outline_m = _outline(family, kind, dice)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.resources import files
@@ -514,8 +515,15 @@ def toml_content(text: str) -> dict[str, Any]:
 
 def validated(kind: type[Parsed], content: dict[str, Any], what: str) -> Parsed:
     """The content of a file of scenes as a scene or a family; raises `SceneError` that lists every fault."""
-    try:
+    with form_errors(what):
         return TypeAdapter(kind).validate_python(content)
+
+
+@contextmanager
+def form_errors(what: str) -> Iterator[None]:
+    """A block in which faults of form become a `SceneError` that lists them; `what` has no valid form."""
+    try:
+        yield
     except ValidationError as error:
         faults = "\n".join(
             f"  {'.'.join(map(str, fault['loc'])) or what}: {fault['msg'].removeprefix('Value error, ')}"

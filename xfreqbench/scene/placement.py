@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
 
 from xfreqbench.errors import PlacementError, SceneError
 from xfreqbench.scene.meshes import FLAT, SIONNA, SurfaceMesh, bounds_m
@@ -107,7 +108,7 @@ def check_transmitters(
     for receiver, carrier in product(scene.receivers, carrier_hz):
         element_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier)
         points_m = np.vstack([receiver.position_m, element_m])
-        distance_m = np.linalg.norm(tx_position_m[:, None] - points_m, axis=2).min(axis=1)
+        distance_m = KDTree(points_m).query(tx_position_m)[0]
         _check_distance(distance_m, tx_position_m, "Transmitter", "the receiver array", carrier)
 
 
@@ -129,7 +130,7 @@ def _check_distance(
 
 
 def check_receiver(scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_hz: float) -> None:
-    """Raise `PlacementError` where an element of the array stands in an object or on a surface.
+    """Raise `PlacementError` where an element of the array stands in an object, on a surface or behind one.
 
     It is checked at the lowest carrier, where the array is widest. With a mesh file the array may not stand outside of
     everything either, and a room that is too high raises `SceneError`.
@@ -140,6 +141,13 @@ def check_receiver(scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_h
     points_m = np.vstack([scene.receiver.position_m, element_m])
     name = "" if scene.receiver.name is None else f" {scene.receiver.name!r}:"
     _check_free(scene, meshes, points_m, f"Receiver{name} array point", lowest_carrier_hz)
+    is_behind = ~sees(meshes, element_m, points_m[0])
+    if is_behind.any():
+        raise PlacementError(
+            f"Receiver{name} at {format_ghz(lowest_carrier_hz)} a surface stands between the array's centre and its "
+            f"element at {format_point(element_m[is_behind.argmax()])} m. Move the array, or ask for higher carriers, "
+            "at which it is smaller."
+        )
 
 
 def _check_inside(scene: Scene, meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"], what: str) -> None:

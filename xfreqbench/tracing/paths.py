@@ -16,6 +16,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 NO_INTERACTION, SPECULAR, DIFFUSE, REFRACTION, DIFFRACTION = 0, 1, 2, 4, 8  # Sionna RT's codes
 
+_BLOCK_PATHS = 512  # of which all pairs with the others are in memory at a time
 _OF_A_PATH = ("arrival", "interactions", "surfaces", "vertices_m")
 
 
@@ -148,10 +149,11 @@ class RaggedPaths:
         last = np.cumsum(self.num_paths)
         mean = np.zeros((len(tx), len(carrier_hz)))
         for row, (start, stop) in enumerate(zip((last - self.num_paths)[tx], last[tx], strict=True)):
-            x = 2 * np.pi * radius_wavelengths * cdist(across[start:stop], across[start:stop])
-            shared = np.divide(2 * j1(x), x, out=np.ones_like(x), where=x > 0)
-            h = turned[start:stop]
-            mean[row] = (h.conj() * (shared @ h)).sum(axis=0).real
+            for first in range(start, stop, _BLOCK_PATHS):
+                part = slice(first, min(first + _BLOCK_PATHS, stop))
+                x = 2 * np.pi * radius_wavelengths * cdist(across[part], across[start:stop])
+                shared = np.divide(2 * j1(x), x, out=np.ones_like(x), where=x > 0)
+                mean[row] += (turned[part].conj() * (shared @ turned[start:stop])).sum(axis=0).real
         return np.maximum(mean, 0)
 
 

@@ -86,10 +86,10 @@ def resolve_solver(geometry: Geometry, settings: TraceSettings) -> TraceSettings
     if solver == "auto":
         solver = "image" if can_solve(geometry, settings) else "sionna"
     settings = settings.by(solver)
+    _check_diffuse(geometry, settings)
     if solver == "sionna":
         for mesh in geometry.meshes:
             mesh.slab.homogeneous  # noqa: B018 (it raises)
-    _check_diffuse(geometry, settings)
     canonical = tuple(name for name in INTERACTIONS if name in settings.named_interactions)
     return replace(settings, interactions=canonical)
 

@@ -33,6 +33,7 @@ from xfreqbench.methods.learning import training as learned
 from xfreqbench.methods.learning.encoding import Scaling
 from xfreqbench.methods.learning.targets import GridView
 from xfreqbench.methods.learning.training import LearnedMethod
+from xfreqbench.methods.registry import build_method
 from xfreqbench.methods.splatting.field import SplatField
 from xfreqbench.methods.splatting.projection import project
 from xfreqbench.runs import checkpoints
@@ -221,6 +222,12 @@ def test_options_that_cannot_be_are_refused_before_any_work(
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(MethodError, match=words):
         next(tiny(XFreqGS, **options).fit(dataset, Budget(1), 0))
+
+
+@pytest.mark.parametrize("options", [["blend=auto"], ["aided=true"]])
+def test_what_has_no_predictors_to_blend_with_says_so(options: list[str]) -> None:
+    with pytest.raises(MethodError, match="GSRF has no trivial predictors to blend with"):
+        build_method("gsrf", options)
 
 
 def test_without_a_row_that_has_a_path_there_is_nothing_to_learn(tmp_path: Path) -> None:

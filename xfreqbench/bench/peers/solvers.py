@@ -22,7 +22,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 RAYS = 1_000_000  # of solvers that shoot them
 CONVERGED_RAYS = 8_000_000
 SPECULAR_ALONE: tuple[Interaction, ...] = ("specular",)
-BATCH = 16  # transmitters of one batched call
+BATCH = 8  # transmitters of one batched call
 Channels = Complex[NDArray[np.complex128], "T FM"]
 ROOM_M = (8.0, 6.0, 3.0)
 SHELL_TRIANGLES = 12

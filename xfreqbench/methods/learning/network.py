@@ -151,9 +151,9 @@ class NetworkConfig:
     carrier_octaves: Annotated[int, Limits(ge=0), Doc("octaves of sines of the carrier")] = 0
     sees_carrier: Annotated[bool, Doc("whether the carrier is an input")] = True
     bearing: Annotated[bool, Doc("of all pairs: whether the angle between transmitter and Gaussian is an input")] = True
-    latent: Annotated[int, Limits(ge=0), Doc("numbers of a Gaussian's latent; 0: none")] = 4
+    latent: Annotated[int, Limits(ge=0), Doc("numbers of a Gaussian's latent; 0: of its place alone")] = 4
     max_spread: Annotated[float, Limits(ge=1), Doc("largest spread of footprints by the carrier")] = 2.0
-    precision: Annotated[Precision, Doc("auto: bfloat16 where the processor has it")] = "auto"
+    precision: Annotated[Precision, Doc("of all pairs; auto: bfloat16 where the processor has it")] = "auto"
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +192,8 @@ class WideFreqNetwork(nn.Module):
             self._num_modulated + 1 + config.latent,
             config.precision,
         )
-        if config.latent:
+        self._latent_sees_carrier = bool(config.latent and carrier_size)
+        if self._latent_sees_carrier:
             self.of_carrier = nn.Linear(carrier_size, self._num_modulated * config.latent)
 
     def forward(
@@ -208,7 +209,7 @@ class WideFreqNetwork(nn.Module):
         pair = bearing(tx_m, position_m)[..., : BEARING_SIZE * self.config.bearing]
         outputs = self.mlp(torch.cat([query, carrier], dim=-1), gaussian, pair)
         modulated, spread, latent = outputs.split([self._num_modulated, 1, self.config.latent], dim=-1)
-        if self.config.latent:
+        if self._latent_sees_carrier:
             weights = self.of_carrier(carrier).reshape(len(carrier), self.config.latent, -1)
             modulated = modulated + latent @ weights
         return self._attributes(modulated, spread[..., 0].T)

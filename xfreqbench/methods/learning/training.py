@@ -84,7 +84,7 @@ class ChannelField(nn.Module):
     may be replayed as a CUDA graph.
     """
 
-    is_capturable: ClassVar[bool] = False
+    is_capturable: bool = False
 
     def adapt(self, train: PasDataset, generator: torch.Generator) -> None:
         """Prepare for training: take scales from the training rows, and random values from the generator."""
@@ -156,6 +156,8 @@ class LearnedMethod:
 
     def __init__(self, config: Any = None) -> None:
         self.config = self.Config() if config is None else config
+        if self.config.blend == "auto" and not self.trivial:
+            raise MethodError(f"{type(self).__name__} has no trivial predictors to blend with: leave blend=none.")
         self._device = _device(self.config.device)
         self._training: Training | None = None
         self._blend: Blend | None = None
@@ -488,5 +490,7 @@ def _device(name: str) -> torch.device:
     except RuntimeError as error:
         raise MethodError(f"{name!r} is no device of torch; use cpu, cuda or cuda:0.") from error
     if device.type == "cuda" and not torch.cuda.is_available():
-        raise MethodError(f"device={name} is asked for, but torch {torch.__version__} sees no CUDA device.")
+        raise MethodError(
+            f"device={name} is asked for, but torch {torch.__version__} sees no CUDA device. Give device=cpu."
+        )
     return device

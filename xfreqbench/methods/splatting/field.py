@@ -203,7 +203,7 @@ class GaussianField(BandField):
 
     def projection(self) -> Projection:
         """The footprints before the frequency spread λ."""
-        return project_gaussians(self.shapes)
+        return project_gaussians(self.shapes if self._move else self.shapes.detach())
 
     def after_step(self, optimizer: torch.optim.Adam, step: int, share: float) -> None:
         """Divide and drop Gaussians, and let them move, when it is time; while they stand still none is divided."""
@@ -241,8 +241,6 @@ class SplatConfig(GaussianConfig):
 class SplatField(GaussianField):
     """Gaussians whose attributes come from a network, after Eqs. 4–11."""
 
-    is_capturable = True
-
     config: SplatConfig
     network: WideFreqNetwork | LowRankNetwork
 
@@ -251,6 +249,7 @@ class SplatField(GaussianField):
         scaling = Scaling()
         kind = LowRankNetwork if config.network == "low-rank" else WideFreqNetwork
         super().__init__(config, scaling, kind(network, scaling), network.max_spread)
+        self.is_capturable = not config.densify_every and config.move_from in (0, 1)  # else Python looks on
 
     def new_gaussians(self, number: int) -> RFGaussians:
         """New Gaussians, with codes where these are learned."""

@@ -270,7 +270,11 @@ function pointOf(plot, point, x) {
   filled(made, { tabindex: 0, role: "button", class: "point" }, []);
   explain(made, summary(point));
   made.addEventListener("click", () => showMapsOf(point.name));
-  made.addEventListener("keydown", (event) => { if (event.key === "Enter") showMapsOf(point.name); });
+  made.addEventListener("keydown", (event) => {
+    if (event.key !== "Enter" && event.key !== " ") return;
+    event.preventDefault();
+    showMapsOf(point.name);
+  });
   return made;
 }
 

@@ -22,7 +22,7 @@ from packaging.licenses import InvalidLicenseExpression, canonicalize_license_ex
 from xfreqbench.data.collection import FILE, Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.statistics import ChannelStatistics
-from xfreqbench.errors import DataError, XFreqBenchError
+from xfreqbench.errors import DataError, SceneError, XFreqBenchError
 from xfreqbench.report.view.describe import describe
 from xfreqbench.report.view.pictures import draw_maps, plot_statistics
 from xfreqbench.scene.families import DRAWING, load_family
@@ -62,7 +62,13 @@ _COLUMNS = {  # of the tables: type and meaning
 Table = dict[str, list[Any]]  # columns by name
 _MAX_SAMPLES, _MAX_MAPS, _RANGE_DB = 1000, 9, 30.0
 _HDF5 = "application/x-hdf5"
-_SIZES = (1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M")
+_SIZES = (
+    (1_000, "n<1K"),
+    (10_000, "1K<n<10K"),
+    (100_000, "10K<n<100K"),
+    (1_000_000, "100K<n<1M"),
+    (10_000_000, "1M<n<10M"),
+)
 
 
 @dataclass(frozen=True)
@@ -120,7 +126,7 @@ def _of_dataset(path: Path, written: Path, tell: Callable[[str], None]) -> _Cont
     """Write what stands beside a data set, and say what it is."""
     dataset, name, statistics = open_dataset(path), path.with_suffix(".h5").name, None
     header = dataset.header
-    with suppress(DataError):  # of data that do not say how they were traced
+    with suppress(DataError, SceneError):  # of data that do not say how they were traced, or whose meshes are not here
         tell("computing statistics: where no paths are stored, those of 200 transmitters are traced again")
         statistics = dataset.statistics()
         plot_statistics(statistics, name, written / STATISTICS)
@@ -386,7 +392,7 @@ def _toml(scene: dict[str, Any]) -> str:
 
 def _card(content: _Content, license_id: str, written: Path) -> str:
     """The README: front matter as Hugging Face reads it, then what is there, how to read it, and how to make it."""
-    size = next((words for limit, words in _SIZES if content.num_samples < limit), "n>1M")
+    size = next((words for limit, words in _SIZES if content.num_samples < limit), "10M<n<100M")
     hub_license = "other" if license_id.startswith("LicenseRef") else license_id.lower()
     configs = "\n".join(f"- config_name: {file.removesuffix('.csv')}\n  data_files: {file}" for file in content.tables)
     listed = "\n".join(f"* `{name}`: {_FILES[name][1]}" for name in _names(written) if name in _FILES)

@@ -185,7 +185,7 @@ def _draw_similarity(axis: Any, summary: CarrierSummary) -> None:
     least = float(np.floor(np.nanmin(found.median_ssim) * 10 - 0.01) / 10)
     middle = (1 + least) / 2
     image = axis.pcolormesh(found.median_ssim, vmin=least, vmax=1, cmap=_SSIM_COLOURS)
-    names = [f"{carrier / 1e9:g}" for carrier in found.carrier_hz]
+    names = [f"{carrier / 1e9:.12g}" for carrier in found.carrier_hz]
     places = np.arange(len(names)) + 0.5
     axis.set_xticks(places, names, fontsize=8)
     axis.set_yticks(places, names, fontsize=8)

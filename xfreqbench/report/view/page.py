@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import PROTOCOLS, Split, make_splits
+from xfreqbench.data.splits import HELD_OUT_RECEIVER, PROTOCOLS, Split, make_splits
 from xfreqbench.errors import ProtocolError
 from xfreqbench.report.drawing.markdown import ABSENT, number
 from xfreqbench.report.drawing.materials import material_hex
@@ -111,7 +111,8 @@ def _facts(view: ViewPlan) -> dict[str, str]:
         channels = "with channels" if header.channels else "without channels"
         maps = f"{header.pas_kind}, {rows} elevations × {columns} azimuths, {kept}, {channels}"
         facts |= {"Carriers": format_ghz_list(header.carrier_hz), "Maps": maps}
-    if dataset:
+        if links := [", ".join(names) for names in (dataset.receivers, dataset.polarizations) if names]:
+            facts["Links"] = f"{' × '.join(links)}; all on this page is of the first of each"
         facts["File"] = f"{dataset.path.stat().st_size / 1e6:,.1f} MB"
     return facts | {"Shown": f"transmitter {view.room.tx} at {_metres(view.room.tx_m)}"}
 
@@ -171,6 +172,7 @@ def _material_row(view: ViewPlan, slab: Slab, layer: Layer) -> tuple[str, ...]:
 def _carrier_table(summary: CarrierSummary) -> PageTable:
     header = ["carrier (GHz)", "without path", "median paths", "power median (dB)", "10 to 90 % (dB)"]
     compared = summary.similarity
+    is_sampled = len(compared.carrier_hz) < len(summary.carrier_hz)
     to_next = dict(zip(compared.carrier_hz, np.diagonal(compared.median_ssim, 1), strict=False))  # none for the last
     rows = []
     for index, carrier_hz in enumerate(summary.carrier_hz):
@@ -181,9 +183,9 @@ def _carrier_table(summary: CarrierSummary) -> PageTable:
             low, middle, high = np.percentile(summary.peak_db[heard, index], (10, 50, 90))
             power = [f"{middle:.1f}", f"{low:.1f} to {high:.1f}"]
         ssim = number(float(to_next.get(carrier_hz, np.nan)), 3)
-        cells = [f"{carrier_hz / 1e9:g}", str(int((~heard).sum())), paths, *power, *[ssim] * bool(to_next)]
+        cells = [f"{carrier_hz / 1e9:.12g}", str(int((~heard).sum())), paths, *power, *[ssim] * bool(to_next)]
         rows.append([cell.replace("-", "−") for cell in cells])
-    return PageTable(header + ["SSIM to the next carrier"] * bool(to_next), rows)
+    return PageTable(header + [f"SSIM to the next{' compared' * is_sampled} carrier"] * bool(to_next), rows)
 
 
 def _protocols(dataset: PasDataset) -> tuple[list[Split], list[str]]:
@@ -193,7 +195,7 @@ def _protocols(dataset: PasDataset) -> tuple[list[Split], list[str]]:
     """
     splits: list[Split] = []
     refusals: list[str] = []
-    for protocol in PROTOCOLS:
+    for protocol in (*PROTOCOLS, *([HELD_OUT_RECEIVER] if dataset.receivers else [])):
         try:
             splits += make_splits(dataset, protocol)
         except ProtocolError as error:

@@ -165,10 +165,12 @@ def draw_statistics(file: Path, output: Path) -> None:
     plot_statistics(open_dataset(file).statistics(), file.name, output)
 
 
+@plain_style()
 def plot_statistics(statistics: ChannelStatistics, name: str, output: Path) -> None:
     """The figure of `draw_statistics`, of the data set of a name; raises `StorageError`."""
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     axes = figure.subplots(2, 3).ravel()
+    first_sight = any(row["in_sight"] for row in statistics.rows)
     for axis, (what, (title, unit, beside)) in zip(axes, _PANELS.items(), strict=False):
         for in_sight, (words, colour) in _SIGHTS.items():
             rows = [row for row in statistics.rows if row["in_sight"] == in_sight]
@@ -176,7 +178,7 @@ def plot_statistics(statistics: ChannelStatistics, name: str, output: Path) -> N
             axis.plot(carriers_ghz, [row[f"{what}_{unit}"] for row in rows], "o", color=colour, label=words)
             for other in beside if rows else ():
                 values = [row[f"{what}_{other}_{unit}"] for row in rows]
-                label = _NAMES[other] if in_sight else None
+                label = _NAMES[other] if in_sight == first_sight else None
                 axis.plot(carriers_ghz, values, linestyle=_STYLES[other], color=colour, label=label)
         axis.set(xscale="log", xlabel="carrier (GHz)")
         axis.set_title(title, fontsize="medium")
@@ -191,7 +193,7 @@ def plot_statistics(statistics: ChannelStatistics, name: str, output: Path) -> N
 
 def _draw_shares(axis: Any, rows: list[dict[str, Any]]) -> None:
     """Stacked bars of the power by mechanism, a bar for each row."""
-    labels = [f"{row['carrier_ghz']:g}" + ("" if row["in_sight"] else "*") for row in rows]
+    labels = [f"{row['carrier_ghz']:.12g}" + ("" if row["in_sight"] else "*") for row in rows]
     bottom = np.zeros(len(rows))
     for mechanism in MECHANISMS:
         share = np.array([row[f"share_{mechanism}"] for row in rows])

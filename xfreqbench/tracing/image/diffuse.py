@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import binom
 
+from xfreqbench.errors import SceneError
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.model import ReceiverArray
@@ -33,6 +34,7 @@ from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
 LEAST_TILE_M = 0.02
+MAX_TILES = 1_000_000  # which take some gigabytes
 TILE_BEAMS = 0.3  # sides of a tile, seen from the array, times the array's diameter in wavelengths
 COARSER = 4.0  # are tiles of paths over a mirror, of which there are many for each tile
 
@@ -142,6 +144,10 @@ def divided(
         far[:, 0] += half
         far[triangle, 2] -= half[triangle]
         facet, sides_m = np.concatenate([facet, facet]), np.concatenate([near, far])
+        if len(facet) + sum(len(of) for of, _ in done) > MAX_TILES:
+            raise SceneError(
+                f"The scene's rough surfaces are divided into more than {MAX_TILES:,} tiles. Let fewer of them scatter."
+            )
     facets, sides = zip((facet, sides_m), *done, strict=True)
     return np.concatenate(facets), np.concatenate(sides)
 

@@ -40,6 +40,7 @@ from xfreqbench.tracing.image.kernels.arrays import Scene as KernelScene
 from xfreqbench.tracing.image.kernels.channels import add_channel, paths_to_centre
 from xfreqbench.tracing.image.kernels.compiled import side_by_side
 from xfreqbench.tracing.image.kernels.edge_paths import Limits
+from xfreqbench.tracing.image.kernels.edge_sides import MAX_SIDE_PLANES
 from xfreqbench.tracing.image.kernels.slabs import stack_coefficients
 from xfreqbench.tracing.image.sequences import UNPRUNED_M, sequences_of, trie_of
 from xfreqbench.tracing.image.surfaces import MirrorPlanes, facets_of
@@ -140,7 +141,7 @@ class ImageTracer:
         self.diffraction = None
         if "diffraction" in settings.named_interactions:
             can_reflect = "specular" in settings.named_interactions
-            max_planes = min(savings.diffraction_planes, settings.max_depth - 1) if can_reflect else 0
+            max_planes = min(savings.diffraction_planes, settings.max_depth - 1, MAX_SIDE_PLANES) if can_reflect else 0
             limits = Limits(settings.max_depth, max_planes, savings.share_visibility)
             self.diffraction = Diffraction(
                 geometry, mirrors, kind, self._scene, self._surface, corners_m, points_m, limits
