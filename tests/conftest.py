@@ -44,7 +44,7 @@ os.fsync = lambda descriptor: None  # processes are killed here, but no machine,
 jaxtyping.jaxtyped = check_first_calls
 jaxtyping.install_import_hook(sorted(MODULES), "tests.support.typechecking.typechecker")
 # no case is decided by a clock: the machine may be busy, and first calls compile and import
-settings.register_profile("unhurried", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("unhurried", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("unhurried")
 # a shell starts what runs in its background deaf to Ctrl-C, and with it every command that a test interrupts
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -169,6 +169,8 @@ def test_methods_of_one_room_learn_from_what_is_heard_of_a_new_one(rooms: Collec
     methods = {"aperture-gs": ["num_gaussians=64"], "xfreq-gs": ["num_gaussians=64"], "virtual-source": []}
     records = run(rooms, methods, "unseen-rooms", tmp_path, budget="256maps")
     assert len(records) == 3 * 4  # at twelve samples too, of four transmitters at three carriers
+    scores = {(record.job.method, record.job.split): record.scores["ssim"].median for record in records}
+    assert all(scores[method, "heard-64"] != scores[method, "heard-0"] for method in methods)
     assert all(record.counts[runner.ROOM_SECONDS] > 0 for record in records)
 
 

@@ -24,7 +24,7 @@ def shown(markdown: str) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("block", ["paragraph", "heading"])
-@settings(max_examples=150, derandomize=True)
+@settings(max_examples=150)
 @given(text=TEXTS)
 def test_a_paragraph_or_a_heading_of_any_text_is_that_text(block: str, text: str) -> None:
     parts = shown(paragraph(text) if block == "paragraph" else f"## {heading(text)}")
@@ -34,7 +34,7 @@ def test_a_paragraph_or_a_heading_of_any_text_is_that_text(block: str, text: str
     assert read.strip() == plain(text).strip(" \t").strip()  # blanks at the ends of a text are not seen
 
 
-@settings(max_examples=100, derandomize=True)
+@settings(max_examples=100)
 @given(cells=st.lists(st.tuples(TEXTS, TEXTS, TEXTS), min_size=1, max_size=3))
 @example(cells=[(each, each, each) for each in HOSTILE])
 def test_a_table_has_the_rows_and_columns_that_it_was_given(cells: list[tuple[str, str, str]]) -> None:

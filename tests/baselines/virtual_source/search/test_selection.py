@@ -91,7 +91,9 @@ def test_few_transmitters_and_none_give_no_planes_and_no_errors(tmp_path: Path, 
 
 def test_one_carrier_is_searched_too(room: PasDataset) -> None:
     one = room.subset(np.flatnonzero(room.carrier_hz == 2.4e9))
-    for image_m in found_in(one):
+    found = found_in(one)
+    assert len(found)
+    for image_m in found:
         # ten times the wavelength, ten times the tilt
         assert any(tilt_rad(image_m / np.linalg.norm(image_m), wall) < 2e-2 for wall in WALLS)
 
