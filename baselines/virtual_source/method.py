@@ -41,7 +41,7 @@ class VirtualSourceConfig(SourceConfig, NetworkConfig, TrainingConfig):
     """Options. A training step uses all carriers of a few transmitters, so that each one's paths serve many rows."""
 
     device: Annotated[Literal["cpu"], Doc("it runs on the processor")] = "cpu"
-    batch_size: Count = 8  # transmitters
+    batch_size: Annotated[Count, Doc("transmitters of a step, with all their maps")] = 8
     learning_rate: Positive = 3e-3
 
 

@@ -165,6 +165,9 @@ def test_a_stopped_generation_goes_on_to_the_same_bytes(drawn: Collection, tmp_p
     generate_rooms("rooms", folder, rooms=2, tell=told.append, **TINY)  # what else was asked for stays
     assert content(folder) == whole
     assert told == ["missing or damaged, and made again: 2 of 3 rooms, 000/000001.h5, 000/000002.h5"]
+    damaged.write_bytes(whole["000/000002.h5"])
+    with pytest.raises(OutputExistsError, match=r"000001.h5 holds 'rooms-.*-2' .* not the room"):
+        generate_rooms("rooms", folder, rooms=2, **TINY)
 
 
 @pytest.mark.slow

@@ -124,6 +124,13 @@ def test_a_pickle_of_a_file_that_changed_is_refused(tmp_path: Path) -> None:
         pickle.loads(pickled)
 
 
+def test_maps_of_a_file_that_lies_there_instead_are_refused(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data.h5")
+    write_dataset(tmp_path / "data.h5", num_tx=2)
+    with pytest.raises(DataError, match="another file than when it was opened"):
+        dataset.pas(0)
+
+
 def test_a_sample_without_any_path_is_flagged(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5", silent=((1, 2),))
     np.testing.assert_array_equal(np.flatnonzero(~dataset.has_path), [5])

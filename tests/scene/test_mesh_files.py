@@ -75,6 +75,23 @@ def test_nodes_of_a_glb_stand_where_their_parents_put_them(tmp_path: Path) -> No
     np.testing.assert_allclose(area_m2, [4, 2])
 
 
+def test_a_mirrored_node_keeps_its_fronts_outside(tmp_path: Path) -> None:
+    square = SQUARE_M, [0, 1, 2, 2, 1, 3], TRIANGLES, "Wood"
+    moved = {"scale": [1, 1, -1], "translation": [5, 0, 0]}
+    nodes: list[dict[str, Any]] = [{"mesh": 0, "name": "a"}, {"mesh": 0, "name": "b", **moved}]
+    meshes = meshes_of(tmp_path, "mirrored.glb", glb_bytes(nodes, [square]))
+    corners_m = np.concatenate([mesh.corners_m for mesh in meshes])
+    assert len(corners_m) == 4  # two squares of two triangles
+    fronts = [np.cross(*np.diff(corners_m[n], axis=0)) for n in (0, 2)]
+    np.testing.assert_allclose(fronts[1], fronts[0] * [1, -1, 1], atol=1e-6)  # glTF's z is -y here
+
+
+def test_a_name_may_have_a_hash_in_it(tmp_path: Path) -> None:
+    text = "# first\no a # second\nusemtl oak#1\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    (mesh,) = meshes_of(tmp_path, "hash.obj", text, '[[material]]\nname = "oak#1"\nitu = "wood"\n')
+    assert mesh.name == "a"
+
+
 def test_faces_may_be_of_parts_of_buildings_and_of_layers_of_the_scenes_own(tmp_path: Path) -> None:
     """Whatever thickness is stated for them elsewhere; the first layer is at the front of the faces."""
     layers = "{material = 'wood', thickness_m = 0.02}, {material = 'metal', thickness_m = 0.001}"

@@ -331,7 +331,10 @@ def test_what_would_not_be_traced_as_it_is_meant_is_refused(folder: Path, elemen
 def test_unknown_properties_of_shapes_are_refused(folder: Path, inside: str) -> None:
     with pytest.raises(UnknownNameError, match="property of a sphere"):
         only_mesh(folder, WOOD, shape("sphere", inside))
-    assert only_mesh(folder, WOOD, shape("sphere", '<boolean name="flip_normals" value="true"/><emitter type="area"/>'))
+    flipped = only_mesh(
+        folder, WOOD, shape("sphere", '<boolean name="flip_normals" value="true"/><emitter type="area"/>')
+    )
+    np.testing.assert_array_equal(flipped.triangles[:, ::-1], only_mesh(folder, WOOD, shape("sphere", "")).triangles)
 
 
 def test_shapes_that_are_merged_are_read_one_by_one(folder: Path) -> None:

@@ -21,7 +21,7 @@ NUM_TX = 80  # as many as the protocol needs
 REFLECTION = 0.8
 
 
-def write_room(path: Path, seed: int, num_tx: int = NUM_TX) -> None:
+def write_room(path: Path, seed: int, num_tx: int = NUM_TX, maps: bool = False) -> None:
     """The data set of the room that a seed makes."""
     random = np.random.default_rng(seed)
     wall_m, receiver = float(random.uniform(1.5, 4.0)), ReceiverArray(position_m=(0.0, 0.0, 2.6))
@@ -36,7 +36,7 @@ def write_room(path: Path, seed: int, num_tx: int = NUM_TX) -> None:
         carrier_hz=CARRIER_HZ,
         num_tx=num_tx,
         pas_kind="power",
-        maps=False,
+        maps=maps,
         settings={},
         software={},
         rejected={},

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
@@ -232,7 +233,7 @@ class PasDataset:
         try:
             how = self.scene, self.trace_settings
         except DataError:
-            with hdf5.open_sealed(self.path, SCHEMA) as file, hdf5.read_errors(self.path, "hashes"):
+            with self._file() as file, hdf5.read_errors(self.path, "hashes"):
                 return Recipe(self.header.scene_name, OF_CONTENT, hdf5.values_sha256(file))
         return Recipe.of_scene(*how, self.header, self.tables["tx_position_m"], self.grid)
 
@@ -347,12 +348,20 @@ class PasDataset:
         maps = np.empty((len(asked), *self.grid.shape), np.float32)
         # what follows one another of a transmitter's carriers is read at once
         starts = np.flatnonzero((np.diff(asked, prepend=-2) != 1) | (carrier == 0)).tolist()
-        with hdf5.open_sealed(self.path, SCHEMA) as file, hdf5.read_errors(self.path, "dataset 'pas'"):
+        with self._file() as file, hdf5.read_errors(self.path, "dataset 'pas'"):
             stored = file["pas"]
             for start, end in pairwise([*starts, len(asked)]):
                 carriers = slice(carrier[start], carrier[start] + end - start)
                 hdf5.unpacked(stored[(tx[start], *_at(self.file_header, self.link), carriers)], maps[start:end])
         return maps
+
+    @contextmanager
+    def _file(self) -> Iterator[Any]:
+        """The file, open; raises as `hdf5.open_sealed`, and `DataError` where another lies there by now."""
+        with hdf5.open_sealed(self.path, SCHEMA) as file:
+            if hdf5.sealed_sha256(file) != self.file_sha256:
+                raise DataError(f"{self.path} is another file than when it was opened. Open it again.")
+            yield file
 
     def to_xarray(self) -> Any:
         """The samples as an `xarray.Dataset` along `sample`, with the names, units and angles of the file.
@@ -397,7 +406,7 @@ class PasDataset:
         (row,) = self.subset(sample).rows
         tx, carrier = divmod(int(row), self.num_carriers)
         self._require_paths()
-        with hdf5.open_sealed(self.path, SCHEMA) as file, hdf5.read_errors(self.path, f"group {GROUP!r}"):
+        with self._file() as file, hdf5.read_errors(self.path, f"group {GROUP!r}"):
             totals = stored_totals(file)
             first = tx * max(1, len(self.receivers)) + self.link[0]
             stored = self._of_link(read_paths(file, totals, self.tables[OFFSET][first : first + 2]))
@@ -406,7 +415,7 @@ class PasDataset:
     def stored_paths(self) -> tuple[RaggedPaths, tuple[str, ...]]:
         """All paths of the whole data set, one behind the other, and the surfaces' names; raises as `paths` does."""
         self._require_paths()
-        with hdf5.open_sealed(self.path, SCHEMA) as file, hdf5.read_errors(self.path, f"group {GROUP!r}"):
+        with self._file() as file, hdf5.read_errors(self.path, f"group {GROUP!r}"):
             totals = stored_totals(file)
             of_all = read_paths(file, totals, self.tables[OFFSET])
             return self._of_link(of_all.every(max(1, len(self.receivers)), self.link[0])), totals.surface_names

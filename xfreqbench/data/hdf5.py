@@ -313,7 +313,9 @@ def verify_sealed(path: Path, schema: str) -> None:
     """Hash every byte of a file, and raise `DataError` naming the first damaged part."""
     with open_sealed(path, schema):
         pass
-    if _is_whole(path):
+    with read_errors(path):
+        is_whole = _is_whole(path)
+    if is_whole:
         return
     with open_sealed(path, schema) as file:
         for name in _dataset_names(file):

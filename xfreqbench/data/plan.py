@@ -177,8 +177,9 @@ class Plan:
 
     @property
     def batches(self) -> list[slice]:
-        """Transmitters of each batch: fewer where each has several links."""
-        count, step = len(self.tx_position_m), max(1, BATCH // self.num_links)
+        """Transmitters of each batch: fewer where each has several links, or more than a hundred carriers."""
+        samples_each = self.num_links * max(1, len(self.header.carrier_hz) // 100)
+        count, step = len(self.tx_position_m), max(1, BATCH // samples_each)
         return [slice(start, min(start + step, count)) for start in range(0, count, step)]
 
 

@@ -14,11 +14,11 @@ from typing import Annotated, Any
 from pydantic import Field, InstanceOf, PositiveInt, TypeAdapter
 
 from xfreqbench.data.collection import FILE, Collection, Room, open_collection, room_of, write_collection
-from xfreqbench.data.dataset import verify
+from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.errors import DataError, OutputExistsError
-from xfreqbench.scene.drawn_rooms import draw_room
+from xfreqbench.scene.drawn_rooms import draw_room, room_name
 from xfreqbench.scene.families import Family, load_family
 from xfreqbench.scene.materials import MaterialPolicy
 from xfreqbench.system.arguments import CarriersGhz, FilePath, Texts, Word, checked
@@ -28,6 +28,7 @@ from xfreqbench.system.files import atomic_path, sole_writer, storage_errors
 from xfreqbench.system.workers import SERIAL, Workers, open_workers, side_by_side
 from xfreqbench.tracing.solvers import interactions_named
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
+from xfreqbench.tracing.versions import PHYSICS_VERSION
 from xfreqbench.types import ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
@@ -216,13 +217,23 @@ def _claim(plan: RoomsPlan, folder: Path) -> tuple[Room, ...]:
 
 
 def _kept(plan: RoomsPlan, folder: Path, seed: int) -> Room | None:
-    """The entry of a room that is there, with its hash; None where it is missing or damaged."""
-    file = plan.file_of(seed)
+    """The entry of a room that is there, with its hash; None where it is missing or damaged.
+
+    Raises `OutputExistsError` where another data set is in its place, or one of another version of the physics.
+    """
+    file, kind = plan.file_of(seed), plan.family.type_of(seed).name
     try:
         verify(folder / file)
-        return room_of(folder, file, seed, plan.family.type_of(seed).name)
+        header = open_dataset(folder / file).header
     except DataError:
         return None
+    found = header.scene_name, header.physics
+    if found != (room_name(plan.family, seed), PHYSICS_VERSION):
+        raise OutputExistsError(
+            f"{folder / file} holds {found[0]!r} by version {found[1]} of the physics, not the room of that seed by "
+            f"version {PHYSICS_VERSION}. Choose another folder with -o, or delete it."
+        )
+    return room_of(folder, file, seed, kind)
 
 
 def _describe(plan: RoomsPlan, folder: Path, rooms: Sequence[Room]) -> Collection:

@@ -143,6 +143,7 @@ class RoomQuestion:
             settings=dict(self.room.header.settings) if plan else {},
             rejected={},
             num_tx=max(1, len(tx)),
+            maps=False,  # rows are no longer those of the file
         )
         return replace(given, header=header, file_header=header, tables=tables, rows=kept)
 

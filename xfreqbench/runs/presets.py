@@ -66,8 +66,6 @@ VIRTUAL_SOURCE_ABLATIONS = tuple(
         "free_sources=0",
         "lengths=float32",
         "max_gain=0.5",
-        "render=learned",
-        "render=traced",
         "sparsity=0",
     )
 )

@@ -85,6 +85,11 @@ def draw_room(family: FilePath | Family, seed: Annotated[int, Field(ge=0, lt=2**
         return _drawn(family, seed)
 
 
+def room_name(family: Family, seed: int) -> str:
+    """The name of the scene that a seed draws from a family."""
+    return f"{family.name}-{family.type_of(seed).name}-{seed}"
+
+
 def _drawn(family: Family, seed: int) -> DrawnRoom:
     dice = Dice(seed)
     kind = family.type_of(seed)
@@ -106,7 +111,7 @@ def _drawn(family: Family, seed: int) -> DrawnRoom:
     used = {surface.material for surface in surfaces}
     used |= {layer.material for material in family.material if material.name in used for layer in material.layers or ()}
     scene = Scene(
-        name=f"{family.name}-{kind.name}-{seed}",
+        name=room_name(family, seed),
         receiver=receiver,
         surface=tuple(surfaces),
         material=tuple(material for material in family.material if material.name in used),

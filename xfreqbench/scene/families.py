@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import field
 from typing import Annotated, Any, Literal
 
@@ -14,6 +12,7 @@ from xfreqbench.scene.dice import Dice
 from xfreqbench.scene.materials import SceneMaterial, Thickness
 from xfreqbench.scene.model import PositiveMetres, read_toml, shipped_families, toml_content, toml_path, validated
 from xfreqbench.system.arguments import FilePath, only_given
+from xfreqbench.system.files import json_sha256
 
 DRAWING = 1  # version of what a seed makes of a family; part of the family's hash
 _STRICT = ConfigDict(extra="forbid")
@@ -194,7 +193,7 @@ class Family:
     @property
     def sha256(self) -> str:
         """Hash of the recipe: families of equal hash have the same room at every seed."""
-        return hashlib.sha256(json.dumps(self.recipe, sort_keys=True).encode()).hexdigest()
+        return json_sha256(self.recipe)
 
     def type_of(self, seed: int) -> RoomType:
         """The type of the room that a seed draws."""

@@ -174,7 +174,8 @@ def _primitives(
         for instance in _instances(header, binary, node):
             whole = matrix @ instance
             vertices_m = position_m @ whole[:3, :3].T + whole[:3, 3]
-            yield ImportedShape(name, slab, Triangles(vertices_m, triangles), where)
+            front = triangles[:, ::-1] if np.linalg.det(whole[:3, :3]) < 0 else triangles  # a mirror turns them round
+            yield ImportedShape(name, slab, Triangles(vertices_m, front), where)
 
 
 def _accessor(header: dict[str, Any], binary: bytes, index: int, types: dict[int, str], columns: int) -> NDArray[Any]:

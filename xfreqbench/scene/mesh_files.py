@@ -261,6 +261,6 @@ def _obj_parts(content: bytes) -> list[_ObjPart]:
 def _logical_lines(text: str) -> Iterator[tuple[int, str]]:
     joined = re.sub(r"(?<![\udc80-\udcff])\\\r?\n", " ", text)  # letters of Shift JIS and GBK may end in a backslash
     for number, line in enumerate(joined.splitlines(), start=1):
-        words = re.sub(r"\s+", " ", line.partition("#")[0]).strip()
+        words = re.sub(r"\s+", " ", re.sub(r"(^|\s)#.*", "", line)).strip()  # names may have a # in them
         if words:
             yield number, words

@@ -111,7 +111,10 @@ def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[Imp
             except Exception as error:  # trimesh raises whatever its parsers do
                 fault = getattr(error, "strerror", None) or error
                 raise SceneError(f"{source} cannot be read: {fault}.") from error
-        yield ImportedShape(name, slab, _placed(triangles, shape, where), source)
+        placed = _placed(triangles, shape, where)
+        if shape.find("./boolean[@name='flip_normals'][@value='true']") is not None:
+            placed = placed._replace(triangles=placed.triangles[:, ::-1])
+        yield ImportedShape(name, slab, placed, source)
 
 
 class _Document:

@@ -281,9 +281,10 @@ def sole_worker(lock: Path, output: Path) -> Iterator[str]:
         since = datetime.now().astimezone().isoformat(" ", "seconds")
         holder = f"process {os.getpid()} on {platform.node()}, since {since}"
         is_first = held.lock_counter == 1
-        if is_first:
-            lock.write_text(holder, encoding="utf-8")
     try:
+        if is_first:
+            with storage_errors(output):
+                lock.write_text(holder, encoding="utf-8")
         yield holder
     finally:
         if is_first:

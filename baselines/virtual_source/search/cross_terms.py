@@ -215,7 +215,11 @@ class LagAverages:
         if self._train.header.channels:
             return averages
         parts = np.concatenate([averages.real, averages.imag], axis=1)
-        return self._complex(parts @ (self._inverse_waves @ self._waves).T)
+        return self._complex(parts @ self._determined)
+
+    @cached_property
+    def _determined(self) -> Float[FloatArray, "R R"]:
+        return (self._inverse_waves @ self._waves).T
 
     def _complex(self, parts: Float[FloatArray, "B R"]) -> Lags:
         """Complex numbers from their real parts followed by their imaginary parts."""

@@ -85,7 +85,7 @@ def _system_library() -> str | None:
 
 def _system_candidates() -> Iterable[Path]:
     for folder in SYSTEM_FOLDERS:
-        yield from Path(folder).glob("libLLVM*.so*")
+        yield from (path for path in Path(folder).glob("libLLVM*.so*") if not path.name[7].isalpha())  # LLVMSPIRVLib
     linked = ctypes.util.find_library("LLVM")
     if linked:
         yield Path(linked)
