@@ -78,7 +78,7 @@ def test_nodes_of_a_glb_stand_where_their_parents_put_them(tmp_path: Path) -> No
 def test_a_mirrored_node_keeps_its_fronts_outside(tmp_path: Path) -> None:
     square = SQUARE_M, [0, 1, 2, 2, 1, 3], TRIANGLES, "Wood"
     moved = {"scale": [1, 1, -1], "translation": [5, 0, 0]}
-    nodes: list[dict[str, Any]] = [{"mesh": 0, "name": "a"}, {"mesh": 0, "name": "b", **moved}]
+    nodes: list[dict[str, Any]] = [{"children": [1, 2]}, {"mesh": 0, "name": "a"}, {"mesh": 0, "name": "b", **moved}]
     meshes = meshes_of(tmp_path, "mirrored.glb", glb_bytes(nodes, [square]))
     corners_m = np.concatenate([mesh.corners_m for mesh in meshes])
     assert len(corners_m) == 4  # two squares of two triangles
