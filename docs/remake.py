@@ -14,7 +14,7 @@ import re
 from pathlib import Path
 
 from xfreqbench.report.leaderboard.columns import BRIEF
-from xfreqbench.report.leaderboard.comparison import comparisons_of
+from xfreqbench.report.leaderboard.overview import first_comparison
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.paper import ship_maps
 from xfreqbench.report.leaderboard.report import WrittenReport, write_report
@@ -37,7 +37,7 @@ def remake(root: Path, page: Path | None = None) -> WrittenReport:
     found = read_results(RECORDS)
     written = write_report(found, root / "BENCHMARK.md", root / "docs" / "results", results_at("v1"))
     office = next(board for board in found.boards if board.title.startswith("office · lofo · power maps · quick"))
-    shown = ranking_table(comparisons_of(office)[0], BRIEF).split("\n\n")
+    shown = ranking_table(first_comparison(office), BRIEF).split("\n\n")
     table = next(part for part in shown if part.startswith("| "))
     readme = root / "README.md"
     readme.write_text(TABLE.sub(lambda _: table, readme.read_text("utf-8")), "utf-8")

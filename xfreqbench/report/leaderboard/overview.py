@@ -55,7 +55,7 @@ def overview_markdown(
     """
     scene = main_scene(ranked)
     of_scene = [board for board in ranked if board.scene == scene]
-    compared = [_first_comparison(board) for board in main_boards(ranked)]
+    compared = [first_comparison(board) for board in main_boards(ranked)]
     every = {**pages, "measurements": measurements_page}
     links = ", ".join(f"[{heading(name)}]({link})" for name, link in every.items())
     parts = [
@@ -95,7 +95,7 @@ def main_boards(ranked: Sequence[Board]) -> list[Board]:
     return [max(boards, key=num_plain_runs) for boards in by_place.values()]
 
 
-def _first_comparison(board: Board) -> Comparison:
+def first_comparison(board: Board) -> Comparison:
     """The rows of a board without ablations, on the splits that most of them share."""
     whole = replace(board, rows=tuple(row for row in board.rows if row.family != "ablation"))
     return Comparison(whole, whole.split_sets()[0])
@@ -157,7 +157,8 @@ def _elsewhere(comparison: Comparison | None, where: str) -> Iterator[str]:
     beside = f" and `{others[0].short_label}` {_skill(comparison, others[0])}" if others else ""
     yield (
         f"{where} (`{comparison.board.protocol}`) `{first.short_label}` has a skill of {_skill(comparison, first)}"
-        f"{beside}; {len(better)} of {1 + len(others)} methods are clearly better than the best trivial predictor."
+        f"{beside}; {len(better)} of {1 + len(others)} methods {'is' if len(better) == 1 else 'are'} clearly better than "
+        "the best trivial predictor."
     )
 
 
@@ -230,7 +231,7 @@ def _main_board(compared: Sequence[Comparison], pages: Mapping[str, str], scene:
 def _budget_table(lanes: Sequence[Board]) -> list[str]:
     """The methods that were run with several budgets, on the splits that all of them have; empty without any."""
     fitted = [(lane, row) for lane in lanes for row in lane.rows if not row.is_trivial and row.family != "ablation"]
-    every = _first_comparison(lanes[0]).splits if lanes else ()
+    every = first_comparison(lanes[0]).splits if lanes else ()
     splits = [split for split in every if all(split in row.by_split for _, row in fitted)]
     known = {(row.short_label, lane.lane): row.average(splits, median_ssim) for lane, row in fitted if splits}
     num_lanes = Counter(label for label, _ in known)
