@@ -155,10 +155,10 @@ def _elsewhere(comparison: Comparison | None, where: str) -> Iterator[str]:
     trivial = next((row for row in comparison.rows if row.is_trivial), None)
     better = [row for row in (first, *others) if trivial and comparison.beats(row, trivial)]
     beside = f" and `{others[0].short_label}` {_skill(comparison, others[0])}" if others else ""
+    verb = "is" if len(better) == 1 else "are"
     yield (
         f"{where} (`{comparison.board.protocol}`) `{first.short_label}` has a skill of {_skill(comparison, first)}"
-        f"{beside}; {len(better)} of {1 + len(others)} methods {'is' if len(better) == 1 else 'are'} clearly better than "
-        "the best trivial predictor."
+        f"{beside}; {len(better)} of {1 + len(others)} methods {verb} clearly better than the best trivial predictor."
     )
 
 
