@@ -165,7 +165,7 @@ class GSRF(LearnedMethod):
     Left out: 10,000 Gaussians (here hundreds); the loss of Fourier coefficients, and hours of training.
     Changed: the sphere is at the receiver, where the map is measured (paper: at the transmitter); footprints are
     projected with their Jacobian; the grid's spacing follows from the number of points (paper: from the
-    wavelength); Gaussians are divided and dropped by their contribution; the loss is Eq. 12.
+    wavelength); Gaussians are divided by their pull, dropped by their contribution; the loss is Eq. 12.
     """
 
     Config = GSRFConfig

@@ -159,8 +159,8 @@ class Wideband3DGS(LearnedMethod):
     a radiance branch of its feature, view, transmitter and carrier, a path loss, carriers on a linear axis.
     Left out: half the width and half the layers of the attenuation branch, octaves of places, all but a few
     hundred Gaussians, hours of training.
-    Changed: one skip; Gaussians are divided and dropped by their contribution, and move by their footprints' gradient
-    alone; maps are normalised, and the loss is Eq. 12.
+    Changed: one skip; Gaussians are divided by their pull, dropped by their contribution, and move by their
+    footprints' gradient alone; maps are normalised, and the loss is Eq. 12.
     """
 
     Config = Wideband3DGSConfig

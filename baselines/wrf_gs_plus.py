@@ -118,7 +118,8 @@ class WRFGSPlus(LearnedMethod):
     Left out: the network's skip, four of its eight layers and three quarters of its width; all but a few hundred
     Gaussians; spherical harmonics of the signal, for one receiver sees a Gaussian from one side.
     Changed: what it shifts is shifted (the released renderer leaves positions alone); sizes are multiplied, not
-    added to; Gaussians are divided and dropped by their contribution; maps are normalised and the loss is Eq. 12.
+    added to; Gaussians are divided by their pull, dropped by their contribution; maps are normalised, and the
+    loss is Eq. 12.
     """
 
     Config = WRFGSPlusConfig

@@ -46,8 +46,13 @@ def describe(path: Path) -> str:
 
 def _links_line(dataset: PasDataset) -> list[str]:
     """Which links the file holds, where there are several; what is said below is of the first."""
-    parts = [", ".join(names) for names in (dataset.receivers, dataset.polarizations) if names]
-    return [f"links      {' × '.join(parts)}; what follows is of the first of each"] if parts else []
+    links = links_in_words(dataset)
+    return [f"links      {links}; what follows is of the first of each"] if links else []
+
+
+def links_in_words(dataset: PasDataset) -> str:
+    """Receivers × polarizations of a file of several links; empty where there is one."""
+    return " × ".join(", ".join(names) for names in (dataset.receivers, dataset.polarizations) if names)
 
 
 def _in_words(setting: Any) -> str:

@@ -14,6 +14,7 @@ from xfreqbench.report.drawing.markdown import ABSENT, number
 from xfreqbench.report.drawing.materials import material_hex
 from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_surface, packed
 from xfreqbench.report.drawing.templates import PageTable, Picture, owner_mark, render
+from xfreqbench.report.view.describe import links_in_words
 from xfreqbench.report.view.figures import Rgba, group_colour, ray_colour
 from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB, ShownRoom
@@ -111,8 +112,8 @@ def _facts(view: ViewPlan) -> dict[str, str]:
         channels = "with channels" if header.channels else "without channels"
         maps = f"{header.pas_kind}, {rows} elevations × {columns} azimuths, {kept}, {channels}"
         facts |= {"Carriers": format_ghz_list(header.carrier_hz), "Maps": maps}
-        if links := [", ".join(names) for names in (dataset.receivers, dataset.polarizations) if names]:
-            facts["Links"] = f"{' × '.join(links)}; all on this page is of the first of each"
+        if links := links_in_words(dataset):
+            facts["Links"] = f"{links}; all on this page is of the first of each"
         facts["File"] = f"{dataset.path.stat().st_size / 1e6:,.1f} MB"
     return facts | {"Shown": f"transmitter {view.room.tx} at {_metres(view.room.tx_m)}"}
 
