@@ -269,7 +269,11 @@ def write_collection(
 
 def room_of(folder: Path, file: str, seed: int, kind: str) -> Room:
     """The entry of a room whose data set is stored in a file of the folder; raises as `open_dataset` does."""
-    dataset = open_dataset(folder / file)
+    return entry_of(open_dataset(folder / file), file, seed, kind)
+
+
+def entry_of(dataset: PasDataset, file: str, seed: int, kind: str) -> Room:
+    """The entry of a room by its data set."""
     return Room(seed, kind, file, dataset.file_sha256, dataset.header.num_tx)
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, InstanceOf, PositiveInt, TypeAdapter
 
-from xfreqbench.data.collection import FILE, Collection, Room, open_collection, room_of, write_collection
+from xfreqbench.data.collection import FILE, Collection, Room, entry_of, open_collection, room_of, write_collection
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
@@ -224,16 +224,16 @@ def _kept(plan: RoomsPlan, folder: Path, seed: int) -> Room | None:
     file, kind = plan.file_of(seed), plan.family.type_of(seed).name
     try:
         verify(folder / file)
-        header = open_dataset(folder / file).header
+        dataset = open_dataset(folder / file)
     except DataError:
         return None
-    found = header.scene_name, header.physics
+    found = dataset.header.scene_name, dataset.header.physics
     if found != (room_name(plan.family, seed), PHYSICS_VERSION):
         raise OutputExistsError(
             f"{folder / file} holds {found[0]!r} by version {found[1]} of the physics, not the room of that seed by "
             f"version {PHYSICS_VERSION}. Choose another folder with -o, or delete it."
         )
-    return room_of(folder, file, seed, kind)
+    return entry_of(dataset, file, seed, kind)
 
 
 def _describe(plan: RoomsPlan, folder: Path, rooms: Sequence[Room]) -> Collection:

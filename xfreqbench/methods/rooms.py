@@ -50,9 +50,9 @@ class PerRoom:
     @classmethod
     def load(cls, directory: Path) -> PerRoom:
         """Inverse of `save`."""
-        *built, seed = json.loads((directory / _METHOD_FILE).read_text(encoding="utf-8"))
-        method = cls(*built)
-        method._seed = seed
+        name, overrides, *seed = json.loads((directory / _METHOD_FILE).read_text(encoding="utf-8"))
+        method = cls(name, overrides)
+        method._seed = seed[0] if seed else 0  # stored before it was
         return method
 
 
