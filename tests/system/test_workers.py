@@ -31,7 +31,8 @@ from xfreqbench.system.workers import LocalProcesses, exit_status, own_cores, si
 if __name__ == "__main__":
     if sys.argv[2] == "alone":
         exit_status(note_and_sleep, sys.argv[1])
-    with LocalProcesses(own_cores()) as workers:
+    imports = ["wave"] if sys.argv[2] == "forks" else []
+    with LocalProcesses(own_cores(), imports=imports) as workers:
         for _ in side_by_side(workers, note_and_sleep, [sys.argv[1]]):
             pass
 """
@@ -42,6 +43,37 @@ def note_and_sleep(path):
     time.sleep(60)
 """
 
+FORKS = """
+import json, os, sys, time
+from forked_calls import look
+from xfreqbench.system.workers import LocalProcesses, all_cores, own_cores, side_by_side
+if __name__ == "__main__":
+    one, both = own_cores(), all_cores()
+    for places, imports in ((one, ["torch"]), (one, []), (one, ["wave"]), (both, ["torch"])):
+        os.environ["LOOKED_FOR"] = str(places)
+        with LocalProcesses(places, is_fresh=True, imports=imports) as workers:
+            seen = [future.result() for _, future in side_by_side(workers, look, range(3))]
+        assert {tuple(answer["cores"]) for answer in seen} <= set(map(tuple, map(sorted, places)))
+        assert {answer["environment"] for answer in seen} == {str(places)}
+        assert len({answer["process"] for answer in seen}) == 3
+        assert {answer["is_blocked"] for answer in seen} == {False}
+        for answer in seen:
+            assert answer["threads"] == [len(answer["cores"])] * len(answer["threads"])
+        print({answer["had_torch"] for answer in seen})
+"""
+LOOK = """
+import os, signal, sys
+def look(argument):
+    had_torch = "torch" in sys.modules
+    import torch
+    from threadpoolctl import threadpool_info
+    return {
+        "process": os.getpid(), "cores": sorted(os.sched_getaffinity(0)), "had_torch": had_torch,
+        "environment": os.environ["LOOKED_FOR"],
+        "threads": [torch.get_num_threads(), *(library["num_threads"] for library in threadpool_info())],
+        "is_blocked": signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []),
+    }
+"""
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="processes are kept to no core here")
 
@@ -107,6 +139,16 @@ def test_processes_stay_for_the_next_call_unless_each_call_asks_for_a_new_one() 
         with LocalProcesses(all_cores(), is_fresh=is_fresh) as workers:
             processes = {future.result() for _, future in side_by_side(workers, _dies_on_two, [1, 3, 4])}
         assert len(processes) == number
+
+
+def test_processes_that_are_forked_have_imports_made_and_threads_and_environment_of_their_own(tmp_path: Path) -> None:
+    """Only those of the first places and imports are; all others start from nothing."""
+    (tmp_path / "forks.py").write_text(FORKS)
+    (tmp_path / "forked_calls.py").write_text(LOOK)
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("NUM_THREADS")}
+    command = [sys.executable, "forks.py"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert (done.stdout.split("\n")[:-1], done.stderr) == (["{True}", "{False}", "{False}", "{False}"], "")
 
 
 def test_a_call_whose_process_dies_is_made_again_and_one_that_processes_die_of_is_an_error(tmp_path: Path) -> None:
@@ -183,7 +225,7 @@ def test_an_executor_that_is_none_names_those_there_are(text: str) -> None:
         open_workers(text)
 
 
-@pytest.mark.parametrize("way", ["pool", "alone"])
+@pytest.mark.parametrize("way", ["pool", "forks", "alone"])
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
 def test_calls_end_with_the_process_that_made_them(tmp_path: Path, sent: signal.Signals, way: str) -> None:
     """Nor do their processes import a file of the working folder that has a standard name."""

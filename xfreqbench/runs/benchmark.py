@@ -31,7 +31,7 @@ from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 from xfreqbench.runs.progress import RunProgress
 from xfreqbench.runs.records import BenchRecord, Job
 from xfreqbench.runs.rooms import RoomTask, room_tasks
-from xfreqbench.runs.run import run_jobs
+from xfreqbench.runs.run import imports_of, run_jobs
 from xfreqbench.scene.model import load_scene
 from xfreqbench.system.files import require_text, sole_worker
 from xfreqbench.system.workers import (
@@ -182,15 +182,18 @@ def plan_benchmark(
     return Benchmark(name, preset, data_dir, results_dir, device, predictions)
 
 
-def run_workers(benchmark: Benchmark, executor: str | None) -> AbstractContextManager[Workers]:
+def run_workers(
+    benchmark: Benchmark, executor: str | None, tasks: Sequence[Task] = ()
+) -> AbstractContextManager[Workers]:
     """The workers that `--executor` names; without it, a new process on each core for every run, or one on a GPU.
 
-    With `serial` it is one new process at a time, which may use all cores.
+    With `serial` it is one new process at a time, which may use all cores. `tasks` are those that will be run.
     """
+    imports = imports_of(tasks) if tasks else ()
     if executor is None or executor == SERIAL:
         one_a_core = executor is None and benchmark.device == "cpu"
-        return LocalProcesses(own_cores() if one_a_core else all_cores(), is_fresh=True)
-    return open_workers(executor, is_fresh=True)
+        return LocalProcesses(own_cores() if one_a_core else all_cores(), is_fresh=True, imports=imports)
+    return open_workers(executor, is_fresh=True, imports=imports)
 
 
 def cost(benchmark: Benchmark, num_places: int) -> str:
@@ -260,15 +263,10 @@ def run_benchmark(benchmark: Benchmark, progress: RunProgress | None = None, exe
 
     Raises what `run_jobs` raises before the first run.
     """
-    with run_workers(benchmark, executor) as workers:
+    tasks = benchmark.tasks()
+    with run_workers(benchmark, executor, tasks) as workers:
         try:
-            run_jobs(
-                benchmark.tasks(),
-                benchmark.results_dir,
-                workers,
-                progress,
-                keeps_predictions=benchmark.keeps_predictions,
-            )
+            run_jobs(tasks, benchmark.results_dir, workers, progress, keeps_predictions=benchmark.keeps_predictions)
         except RunsFailedError as error:
             return error.lines
     return []

@@ -10,7 +10,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
@@ -160,7 +160,7 @@ def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress:
         if estimate.is_long:
             print(estimate, file=sys.stderr, flush=True)
     with (
-        open_workers(executor, is_fresh=True) as workers,
+        open_workers(executor, is_fresh=True, imports=imports_of(tasks)) as workers,
         run_bars(not progress, shows_fit=workers is HERE) as callbacks,
     ):
         try:
@@ -170,6 +170,11 @@ def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress:
                 raise
             (error,) = failed.errors.values()
             raise error from None
+
+
+def imports_of(tasks: Iterable[Task]) -> list[str]:
+    """The modules that processes import to run tasks."""
+    return [__name__, *sorted({type(task.method).__module__ for task in tasks})]
 
 
 def _texts(options: Options) -> tuple[str, ...]:

@@ -93,7 +93,10 @@ def reset_peak_memory() -> None:
 
 
 def peak_memory_mib() -> float:
-    """Largest resident memory of this process since `reset_peak_memory`, in MiB, with interpreter and libraries."""
+    """Largest resident memory of this process since `reset_peak_memory`, in MiB, with interpreter and libraries.
+
+    Of a process that was forked off another one it holds, too, what that one had imported.
+    """
     try:
         return int(_stated(_STATUS, "VmHWM")[0].split()[0]) / 1024
     except (OSError, IndexError):

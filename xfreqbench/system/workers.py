@@ -5,15 +5,18 @@ from __future__ import annotations
 import multiprocessing
 import os
 import re
+import signal
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
+from multiprocessing import forkserver
+from multiprocessing.context import BaseContext
 from queue import SimpleQueue
 from types import TracebackType
 from typing import Any, Protocol, TypeVar, runtime_checkable
@@ -27,7 +30,8 @@ Result = TypeVar("Result")
 Cores = frozenset[int]
 SERIAL = "serial"
 MAX_DEATHS = 4  # processes that may die of one call; Dask allows as many workers by default
-_SPAWN = multiprocessing.get_context("spawn")  # a fork would inherit numbers of threads
+_SPAWN = multiprocessing.get_context("spawn")  # a fork of this process would inherit its threads and locks
+_INTERRUPT = {signal.SIGINT}
 _THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
@@ -49,17 +53,19 @@ class Workers(Protocol):
         ...
 
 
-def open_workers(executor: str, *, is_fresh: bool = False) -> AbstractContextManager[Workers]:
+def open_workers(
+    executor: str, *, is_fresh: bool = False, imports: Sequence[str] = ()
+) -> AbstractContextManager[Workers]:
     """The workers that `--executor` names: `serial`, a number of processes, or `dask://host:port`.
 
-    With `is_fresh`, every call on this machine is made in a new process. Raises `XFreqBenchError` for any other
-    text, and what `xfreqbench.system.cluster.dask_workers` raises.
+    `is_fresh` and `imports` are those of `LocalProcesses`. Raises `XFreqBenchError` for any other text, and what
+    `xfreqbench.system.cluster.dask_workers` raises.
     """
     require_executor(executor)
     if executor == SERIAL:
         return nullcontext(HERE)
     if executor.isdecimal():
-        return LocalProcesses(split_cores(int(executor)), is_fresh=is_fresh)
+        return LocalProcesses(split_cores(int(executor)), is_fresh=is_fresh, imports=imports)
     return dask_workers(executor)
 
 
@@ -141,16 +147,18 @@ class LocalProcesses:
     """Processes of this machine, each kept to the cores of its place; a context manager.
 
     They end with this process, however it ends. With `is_fresh` every call is made in a new process, so that
-    whatever is timed has equal conditions.
+    whatever is timed has equal conditions. `imports` names modules that calls will import anyway: where the system can,
+    processes are forked off one that has imported them and did nothing else.
     """
 
-    def __init__(self, places: Sequence[Cores], *, is_fresh: bool = False) -> None:
+    def __init__(self, places: Sequence[Cores], *, is_fresh: bool = False, imports: Sequence[str] = ()) -> None:
         self.num_places = len(places)
+        context = _forking(places, tuple(imports)) or _SPAWN
         self._is_fresh = is_fresh
         self._is_ending = threading.Event()
         self._threads = ThreadPoolExecutor(len(places))
         self._free: SimpleQueue[_Place] = SimpleQueue()
-        self._places = [_Place(partial(_settle, cores, is_alone=len(places) == 1)) for cores in places]
+        self._places = [_Place(context, partial(_settle, cores, len(places) == 1)) for cores in places]
         for place in self._places:
             self._free.put(place)
 
@@ -201,14 +209,15 @@ class LocalProcesses:
 class _Place:
     """A place for one process at a time; each process first calls `settle`."""
 
-    settle: Callable[[], None]
+    context: BaseContext
+    settle: Callable[[Mapping[str, str]], None]
     _process: ProcessPoolExecutor | None = None
 
     def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
         """Have the process of this place make a call; it is started if there is none."""
         with safe_path():  # making an executor starts a process, too: multiprocessing's tracker of semaphores
             if self._process is None:
-                self._process = ProcessPoolExecutor(1, _SPAWN, self.settle)
+                self._process = ProcessPoolExecutor(1, self.context, self.settle, (dict(os.environ),))
             return self._process.submit(call, argument)
 
     def terminate(self) -> None:
@@ -235,13 +244,44 @@ def exit_status(call: Callable[[Argument], object], argument: Argument) -> int:
     return process.exitcode or 0
 
 
+_forks: tuple[int, tuple[str, ...]] | None = None  # cores of each fork, and what was imported for all; set once
+
+
+def _forking(places: Sequence[Cores], imports: tuple[str, ...]) -> BaseContext | None:
+    """A context whose processes start with `imports` made, forked off a process that has no threads; None where not.
+
+    Libraries settle at their import how many threads they use. So the first call makes the process that is forked, with
+    as many cores as a place has, and later calls for other places or imports get None.
+    """
+    global _forks
+    (size, *others) = {len(cores) for cores in places}
+    if not imports or others or not hasattr(os, "sched_setaffinity"):
+        return None
+    context, before = multiprocessing.get_context("forkserver"), os.sched_getaffinity(0)
+    if _forks is None:
+        _forks = size, imports
+        context.set_forkserver_preload(list(imports))
+        with safe_path():
+            os.sched_setaffinity(0, places[0])  # of this thread
+            signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPT)  # it is not ignored before all is imported
+            try:
+                forkserver.ensure_running()
+            finally:
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPT)
+                os.sched_setaffinity(0, before)
+    return context if _forks[0] == size and set(imports) <= set(_forks[1]) else None
+
+
 def _make_settled(call: Callable[[Argument], object], argument: Argument) -> None:
-    _settle(frozenset(), is_alone=True)
+    _settle(frozenset(), True, {})
     call(argument)
 
 
-def _settle(place: Cores, is_alone: bool) -> None:
+def _settle(place: Cores, is_alone: bool, environment: Mapping[str, str]) -> None:
     """Keep this process to its cores, and let it end with its parent, even if the parent is killed."""
+    os.environ.update(environment)  # that of a fork is as old as the process it was forked off
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPT)
     if place:
         os.sched_setaffinity(0, place)
     elif not is_alone:  # macOS cannot keep a process to a core; one thread comes nearest to it
