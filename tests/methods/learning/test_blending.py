@@ -206,6 +206,37 @@ def test_maps_that_are_right_in_one_half_each_are_mixed_half_and_half(train: Pas
     assert all(choice.weights == {"Half0": 0.5, "Half1": 0.5} for choice in choices.values())
 
 
+def test_transmitters_whose_sight_is_obscured_have_weights_of_their_own(train: PasDataset, holdout: Holdout) -> None:
+    """The line of sight and the mean are right where the sight is clear, the learned maps where it is obscured."""
+    truth, is_clear = truth_of(train), dict(zip(train.tx_position_m[:, 0], train.tx_index % 2 == 0, strict=True))
+
+    def right_where(sight: bool, flip: int) -> Callable[..., np.ndarray]:
+        def predict(tx_position_m: np.ndarray, carrier_hz: np.ndarray) -> np.ndarray:
+            is_right = np.array([is_clear[x] == sight for x in tx_position_m[:, 0]])[:, None, None]
+            maps = truth(tx_position_m, carrier_hz)
+            return np.where(is_right, maps, np.flip(maps, flip))
+
+        return predict
+
+    class LineOfSight(TransmitterLookup):
+        right = staticmethod(right_where(True, flip=2))
+
+        def predict(self, tx_position_m: np.ndarray, carrier_hz: np.ndarray) -> np.ndarray:
+            every = train.grid.shape[0] // self.transmitters.train.grid.shape[0]
+            return self.right(tx_position_m, carrier_hz)[:, ::every, ::every]
+
+    class MeanOverFrequency(LineOfSight):
+        right = staticmethod(right_where(True, flip=1))
+
+    blend = Blend.chosen((LineOfSight, MeanOverFrequency), train, holdout, right_where(False, flip=1))
+    (choice,) = (choice for kind, choice in blend.choices.items() if kind.startswith(KINDS[0] + " at "))
+    assert LEARNED not in choice.weights
+    assert choice.obscured == {LEARNED: 1}
+    at_held_out = train.subset((train.carrier_hz == choice.carrier_hz) & train.has_path)
+    query = at_held_out.tx_position_m, at_held_out.carrier_hz
+    np.testing.assert_allclose(blend.maps(right_where(False, 1)(*query), *query), at_held_out.pas(), atol=1e-6)
+
+
 def right_at(train: PasDataset, transmitters: Collection[int]) -> type:
     """A predictor that knows the truth of some transmitters, and has flat maps for the others."""
     known_m = train.tx_position_m[np.isin(train.tx_index, list(transmitters))]

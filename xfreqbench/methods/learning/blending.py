@@ -4,6 +4,9 @@ In the first half of a training some carriers and transmitters are held out, as 
 weights are chosen, for each kind of query; then the training goes on with all rows. For transmitters that are far from
 all trained ones, and for carriers beyond the training band, other predictors are the good ones. For them, a region of
 transmitters and the outermost carriers are held out in the first quarter.
+
+Of a seen transmitter the mean of its maps is known. Where it looks like the line of sight, other weights are good than
+where it does not, behind a wall or a cupboard: each has its own.
 """
 
 from __future__ import annotations
@@ -30,9 +33,11 @@ CHOOSE_AT, CHOOSE_FAR_AT = 0.5, 0.25  # shares of the budget after which weights
 LEARNED = "learned"  # the name of the learned maps among those of predictors
 # parts that a blend begins with, where transmitters are seen, and where they are not: there, means over others mislead
 _START, _START_UNSEEN = ("LineOfSight", "MeanOverFrequency"), ("LineOfSight", "LineOfSight")
+_CLEAR = (0.7, 0.9)  # SSIM of line of sight and mean over frequency: the sight is obscured below, clear above
 _PARTS = 8  # so many more are given one by one to whichever brings most
 _LEAST_ROWS, _MOST_ROWS = 4, 48  # of each kind on which weights are chosen, and most held-out transmitters
 _LEAST_TX, _LEAST_TX_SHARE = 8, 4  # held out: so many, but no more than one of four
+_LEAST_ALIKE = 8.0  # clear and obscured rows; where either are fewer, all choose together
 _FAR = (1.5, 3.0)  # spacings of the training transmitters, beyond which one is far from them, and very far
 _LEAST_SECONDS_FOR_FAR = 8.0  # of a budget: choices for far transmitters take one or two
 _REGION_SHARE = 0.15  # of the transmitters
@@ -47,12 +52,14 @@ KINDS = ("unseen carrier", *(kind for place in _PLACES for kind in (f"unseen {pl
 class Choice(BaseModel):
     """For a kind of query: the weights of the learned maps and of trivial predictors, by name, 1 together.
 
-    It is a choice for one carrier, held out to make it, where the kind is of unseen carriers.
+    It is a choice for one carrier, held out to make it, where the kind is of unseen carriers. `obscured` are the
+    weights for seen transmitters whose maps are unlike the line of sight; None where all have the same.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     weights: dict[str, float]
+    obscured: dict[str, float] | None = None
     carrier_hz: float | None = None
 
 
@@ -142,7 +149,9 @@ class Blend:
 
     def __init__(self, predictors: Sequence[type], train: PasDataset, choices: Mapping[str, Choice]) -> None:
         self.choices, self.transmitters = choices, TrainingTransmitters(train)
-        needed = {name for choice in choices.values() for name in choice.weights}
+        needed = {name for choice in choices.values() for name in choice.weights | (choice.obscured or {})}
+        if any(choice.obscured for choice in choices.values()):
+            needed |= {*_START}
         self._predictors = _knowing([predictor for predictor in predictors if predictor.__name__ in needed], train)
 
     @classmethod
@@ -170,8 +179,13 @@ class Blend:
             maps |= {name: predictor.predict(*query) for name, predictor in knowing.items()}
             carrier_hz = float(rows.carrier_hz[0]) if " at " in kind else None
             start = _START if _of(kind) == KINDS[0] else _START_UNSEEN
-            weights = _best_weights(maps, rows.pas(), start)
-            choices[kind] = Choice(weights=weights, carrier_hz=carrier_hz)
+            shares = [np.ones(len(rows))]
+            if _of(kind) == KINDS[0] and holdout.until == CHOOSE_AT and maps.keys() >= {*_START}:
+                clear = _clear(maps)
+                if min(clear.sum(), (1 - clear).sum()) >= _LEAST_ALIKE:
+                    shares = [clear, 1 - clear]
+            weights, *obscured = (_best_weights(maps, rows.pas(), start, share) for share in shares)
+            choices[kind] = Choice(weights=weights, obscured=next(iter(obscured), None), carrier_hz=carrier_hz)
         if holdout.until == CHOOSE_AT:
             first, known = predictors[0].__name__, {*map(_of, choices)}
             if KINDS[0] not in known:
@@ -186,9 +200,15 @@ class Blend:
         weights[LEARNED][:] = 1
         for (kind, is_beyond), asked in self._kinds(tx_position_m, carrier_hz).items():
             weights[LEARNED][asked] = 0
-            for choice, share in self._shares(kind, is_beyond, carrier_hz[asked]):
-                for name, weight in choice.weights.items():
-                    weights[name][asked] += weight * share
+            shares = [*self._shares(kind, is_beyond, carrier_hz[asked])]
+            clear = np.ones(len(asked))
+            if any(choice.obscured for choice, _ in shares):
+                query = tx_position_m[asked], carrier_hz[asked]
+                clear = _clear({name: self._predictors[name].predict(*query)[:, ::STRIDE, ::STRIDE] for name in _START})
+            for choice, share in shares:
+                for of_part, part in ((choice.weights, clear), (choice.obscured or choice.weights, 1 - clear)):
+                    for name, weight in of_part.items():
+                        weights[name][asked] += weight * share * part
         blended = weights[LEARNED][:, None, None] * learned
         for name, predictor in self._predictors.items():
             if len(at := np.flatnonzero(weights[name])):
@@ -251,22 +271,38 @@ def _knowing(predictors: Sequence[type], train: PasDataset) -> dict[str, Any]:
     return made
 
 
+def _clear(maps: Mapping[str, Float[Maps, "n E A"]]) -> Float[FloatArray, "n"]:
+    """How clear the sight of seen transmitters is, from 0 to 1, by the likeness of their line of sight and mean."""
+    line_of_sight, mean = (np.ascontiguousarray(maps[name]) for name in _START)
+    return np.interp(similarities(line_of_sight, mean, 1), _CLEAR, (0, 1))
+
+
 def _best_weights(
-    maps: Mapping[str, Float[Maps, "n E A"]], truth: Float[Maps, "n E A"], start: Sequence[str]
+    maps: Mapping[str, Float[Maps, "n E A"]],
+    truth: Float[Maps, "n E A"],
+    start: Sequence[str],
+    share: Float[FloatArray, "n"],
 ) -> dict[str, float]:
     """The weights of maps by name whose mean has the highest SSIM, found greedily: one part after another is added.
 
-    The first parts are those of `start`, which no few rows lead astray. Learned maps that are better alone stay alone.
+    `share` says how much each row counts. The first parts are those of `start`, which no few rows lead astray. Learned
+    maps that are better alone stay alone.
     """
+    at = np.flatnonzero(share)
+    maps, truth, share = {name: of_name[at] for name, of_name in maps.items()}, truth[at], share[at]
+
+    def similar_to_truth(blended: Float[Maps, "m E A"]) -> float:
+        return float(np.average(similarities(blended, truth, 1), weights=share))
+
     parts = Counter(name for name in start if name in maps)
     total, best = sum((maps[name] for name in parts.elements()), np.zeros_like(truth)), -np.inf
     for _ in range(_PARTS):
-        similar = {name: similarities(scaled(total + of_name), truth, 1).mean() for name, of_name in maps.items()}
+        similar = {name: similar_to_truth(scaled(total + of_name)) for name, of_name in maps.items()}
         name = max(similar, key=lambda name: similar[name])
         if similar[name] <= best:
             break
         parts[name] += 1
         total, best = total + maps[name], similar[name]
-    if similarities(maps[LEARNED], truth, 1).mean() >= best:
+    if similar_to_truth(maps[LEARNED]) >= best:
         return {LEARNED: 1.0}
     return {name: number / parts.total() for name, number in parts.items()}
