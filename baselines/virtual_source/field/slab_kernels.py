@@ -163,28 +163,33 @@ def _plain(num_carriers: int) -> tuple[F32, F32]:
 @entry(error_model="numpy", fastmath=_FAST)
 def gains(
     polarised: F32, spread: F32, bounces: Touches, crossings: Touches, reflecting: F32, transmitting: F32, cells: Cells
-) -> C64:
-    """Gains of N paths at F carriers, (N, F): `spread` times what `polarised` (N, 2^O) and all factors make."""
+) -> tuple[C64, tuple[F32, F32], tuple[F32, F32]]:
+    """Gains of N paths at F carriers, (N, F): `spread` times what `polarised` (N, 2^O) and all factors make.
+
+    Also returned are what `_factors` writes for bounces and for crossings: factors (N, K, C), and shares (N, K, 4).
+    """
+    num_paths, num_carriers = len(spread), transmitting.shape[3] // 2
     num_bounces, num_crossings = bounces[0].shape[1], crossings[0].shape[1]
-    num_carriers = transmitting.shape[3] // 2
     metal, opening = _plain(num_carriers)
-    gain = np.zeros((len(spread), num_carriers), np.complex64)
-    share = np.empty((num_bounces + num_crossings, 4), np.float32)
-    reflected = np.empty((num_bounces, 4 * num_carriers), np.float32)
-    passed = np.empty((num_crossings, 2 * num_carriers), np.float32)
-    bounce, through = reflected.view(np.complex64).reshape(num_bounces, 2, num_carriers), passed.view(np.complex64)
+    gain = np.zeros((num_paths, num_carriers), np.complex64)
+    reflected = np.empty((num_paths, num_bounces, 4 * num_carriers), np.float32)
+    passed = np.empty((num_paths, num_crossings, 2 * num_carriers), np.float32)
+    bounce_share = np.empty((num_paths, num_bounces, 4), np.float32)
+    crossing_share = np.empty((num_paths, num_crossings, 4), np.float32)
+    bounce = reflected.view(np.complex64).reshape(num_paths, num_bounces, 2, num_carriers)
+    through = passed.view(np.complex64)
     term = np.empty((num_bounces + 1, polarised.shape[1], num_carriers), np.complex64)
-    for n in range(len(spread)):
+    for n in range(num_paths):
         if spread[n] == 0:
             continue
-        _factors(bounces, n, reflecting, cells, METAL, metal, share, reflected)
-        _factors(crossings, n, transmitting, cells, NOTHING, opening, share[num_bounces:], passed)
-        _combine(polarised[n], bounce, term)
+        _factors(bounces, n, reflecting, cells, METAL, metal, bounce_share[n], reflected[n])
+        _factors(crossings, n, transmitting, cells, NOTHING, opening, crossing_share[n], passed[n])
+        _combine(polarised[n], bounce[n], term)
         for f in range(num_carriers):
             gain[n, f] = term[0, 0, f] * spread[n]
             for k in range(num_crossings):
-                gain[n, f] *= through[k, f]
-    return gain
+                gain[n, f] *= through[n, k, f]
+    return gain, (reflected, passed), (bounce_share, crossing_share)
 
 
 @entry(error_model="numpy", fastmath=_FAST)
@@ -196,57 +201,45 @@ def slopes_of_gains(
     reflecting: F32,
     transmitting: F32,
     cells: Cells,
+    factors: tuple[F32, F32],
+    shares: tuple[F32, F32],
     slope: C64,
 ) -> tuple[F32, F32, F32]:
     """The slopes by `reflecting`, `transmitting` and the cells' logits, from those by `gains`, `slope` (N, F)."""
+    num_paths, num_carriers = slope.shape
     num_bounces, num_crossings = bounces[0].shape[1], crossings[0].shape[1]
-    num_carriers = transmitting.shape[3] // 2
     metal, opening = _plain(num_carriers)
     of_reflecting, of_transmitting = np.zeros_like(reflecting), np.zeros_like(transmitting)
     of_logits = np.zeros_like(cells[0])
-    share = np.empty((num_bounces + num_crossings, 4), np.float32)
-    reflected = np.empty((num_bounces, 4 * num_carriers), np.float32)
-    passed = np.empty((num_crossings, 2 * num_carriers), np.float32)
-    of_reflected, of_passed = np.empty_like(reflected), np.empty_like(passed)
-    bounce, through = reflected.view(np.complex64).reshape(num_bounces, 2, num_carriers), passed.view(np.complex64)
+    bounce = factors[0].view(np.complex64).reshape(num_paths, num_bounces, 2, num_carriers)
+    through = factors[1].view(np.complex64)
+    of_reflected, of_passed = np.empty_like(factors[0][0]), np.empty_like(factors[1][0])
     of_bounce = of_reflected.view(np.complex64).reshape(num_bounces, 2, num_carriers)
     of_through = of_passed.view(np.complex64)
     term = np.empty((num_bounces + 1, polarised.shape[1], num_carriers), np.complex64)
     of_term = np.empty_like(term)
-    for n in range(len(spread)):
+    for n in range(num_paths):
         if spread[n] == 0:
             continue
-        _factors(bounces, n, reflecting, cells, METAL, metal, share, reflected)
-        _factors(crossings, n, transmitting, cells, NOTHING, opening, share[num_bounces:], passed)
-        _combine(polarised[n], bounce, term)
+        _combine(polarised[n], bounce[n], term)
         of_bounce[:] = 0
         for f in range(num_carriers):
             before, after = slope[n, f] * spread[n], term[0, 0, f].conjugate()
             for k in range(num_crossings):
                 of_through[k, f] = before
-                before *= through[k, f].conjugate()
+                before *= through[n, k, f].conjugate()
             for k in range(num_crossings - 1, -1, -1):
                 of_through[k, f] *= after
-                after *= through[k, f].conjugate()
+                after *= through[n, k, f].conjugate()
             of_term[0, 0, f] = before
             for o in range(num_bounces):
                 for c in range(1 << o):
                     for v in range(2):
                         of_bounce[o, v, f] += of_term[o, c, f] * term[o + 1, 2 * c + v, f].conjugate()
-                        of_term[o + 1, 2 * c + v, f] = of_term[o, c, f] * bounce[o, v, f].conjugate()
-        _add_slopes(bounces, n, reflecting, cells, METAL, metal, share, of_reflected, of_reflecting, of_logits)
-        _add_slopes(
-            crossings,
-            n,
-            transmitting,
-            cells,
-            NOTHING,
-            opening,
-            share[num_bounces:],
-            of_passed,
-            of_transmitting,
-            of_logits,
-        )
+                        of_term[o + 1, 2 * c + v, f] = of_term[o, c, f] * bounce[n, o, v, f].conjugate()
+        _add_slopes(bounces, n, reflecting, cells, METAL, metal, shares[0][n], of_reflected, of_reflecting, of_logits)
+        of_both = of_transmitting, of_logits
+        _add_slopes(crossings, n, transmitting, cells, NOTHING, opening, shares[1][n], of_passed, *of_both)
     return of_reflecting, of_transmitting, of_logits
 
 

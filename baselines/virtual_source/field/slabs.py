@@ -13,10 +13,9 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from xfreqbench.types import NDArray
-from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M
 
 from ..room.surfaces import METAL_THICKNESS_M
-from . import slab_kernels
+from . import coefficient_kernels, slab_kernels
 from .images import Touch, Traces
 from .slab_kernels import NOTHING
 
@@ -55,26 +54,10 @@ class LearnedSlabs(nn.Module):
 
         The first axis is the slab, thick or thin; `cosine` is that of the angle to the normal.
         """
-        carrier = carrier_hz.float()
-        ghz = carrier / 1e9
-        slab = (..., None, None)
-        conductivity = self.log_conductivity.exp()[slab] * ghz ** self.power[slab]
-        permittivity = torch.complex(
-            1 + self.log_susceptibility.exp()[slab].expand_as(conductivity),
-            -conductivity / (2 * math.pi * VACUUM_PERMITTIVITY_F_M * carrier),
-        )
-        cosine = cosine[:, None]
-        root = _root(permittivity - (1 - cosine * cosine))
-        wavenumber = 2 * math.pi * carrier / SPEED_OF_LIGHT_M_S
-        depth = wavenumber * self.log_thickness.exp()[slab]
-        once = (depth * root.imag).exp() * phasor(-depth * root.real)
-        te = (cosine - root) / (cosine + root)
-        tm = (permittivity * cosine - root) / (permittivity * cosine + root)
-        face = torch.stack([te, tm], dim=-2)
-        once = once[..., None, :]
-        inverse = 1 / (1 - (face * once) ** 2)
-        reflected = face * (1 - once * once) * inverse
-        transmitted = ((1 - face * face) * once * inverse).mean(dim=-2)
+        slabs = torch.stack([self.log_susceptibility, self.log_conductivity, self.power, self.log_thickness])
+        ghz = (carrier_hz / 1e9).float()
+        tables = _Coefficients.apply(slabs.flatten(1), ghz, cosine)  # type: ignore[no-untyped-call]
+        reflected, transmitted = (torch.view_as_complex(table).unflatten(0, self.power.shape) for table in tables)
         return reflected, transmitted
 
     def take(self, other: LearnedSlabs, kept: Sequence[int]) -> None:
@@ -104,10 +87,21 @@ def phasor(angle_rad: Float[Tensor, "..."]) -> Complex[Tensor, "..."]:
     return torch.complex(angle_rad.cos(), angle_rad.sin())
 
 
-def _root(square: Complex[Tensor, "..."]) -> Complex[Tensor, "..."]:
-    """The root of numbers with a positive real part, faster than `torch.sqrt`."""
-    real = ((square.abs() + square.real) / 2).sqrt()
-    return torch.complex(real, square.imag / (2 * real))
+class _Coefficients(torch.autograd.Function):
+    """Coefficients (S, N, 2, F, 2) and (S, N, F, 2) by compiled kernels, with slopes by the slabs (4, S)."""
+
+    @staticmethod
+    def forward(ctx: Any, slabs: Tensor, carrier_ghz: Tensor, cosine: Tensor) -> tuple[Tensor, Tensor]:
+        arguments = arrays_of(slabs, carrier_ghz, cosine)
+        reflected, transmitted, rows = coefficient_kernels.coefficients(*arguments)
+        ctx.arguments = *arguments, rows
+        return torch.from_numpy(reflected), torch.from_numpy(transmitted)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor, None, None]:
+        of_slabs = coefficient_kernels.slopes_of_coefficients(*ctx.arguments, *arrays_of(*slopes))
+        return torch.from_numpy(of_slabs), None, None
 
 
 def path_gains(
@@ -137,8 +131,10 @@ class _PathGains(torch.autograd.Function):
     ) -> Tensor:
         tables, (polarised, spread, *touches) = arrays_of(reflecting, transmitting), arrays_of(*parts)
         cells = *arrays_of(logits, low_m), np.float32(cell_m)
-        ctx.arguments = polarised, spread, tuple(touches[:3]), tuple(touches[3:]), *tables, cells
-        return torch.from_numpy(slab_kernels.gains(*ctx.arguments))
+        arguments: Any = polarised, spread, tuple(touches[:3]), tuple(touches[3:]), *tables, cells
+        gain, *of_paths = slab_kernels.gains(*arguments)
+        ctx.arguments = *arguments, *of_paths
+        return torch.from_numpy(gain)
 
     @staticmethod
     @once_differentiable

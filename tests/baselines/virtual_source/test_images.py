@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
@@ -25,7 +26,7 @@ from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.units import SPEED_OF_LIGHT_M_S
+from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 RECEIVER = ReceiverArray(position_m=(2.1, 1.7, 2.2))
@@ -146,6 +147,38 @@ def test_coefficients_are_those_of_the_solver(material: str) -> None:
             # 200 turns of phase at 94 GHz, in float32
             np.testing.assert_allclose(reflected[0, 0, row, :, column].numpy(), [te, tm], atol=2e-5)
             np.testing.assert_allclose(transmitted[0, 0, row, column].numpy(), np.mean(passed), atol=2e-5)
+
+
+def test_coefficients_and_their_slopes_are_those_of_the_formula() -> None:
+    generator = torch.Generator().manual_seed(0)
+    slabs, cosine, carrier_hz = LearnedSlabs(5), torch.linspace(0, 1, 23), torch.tensor([1e9, 10e9]).double()
+    with torch.no_grad():
+        for parameter in slabs.parameters():
+            parameter += 0.3 * torch.randn(parameter.shape, generator=generator)
+    results = []
+    for tables in (slabs.coefficients(carrier_hz, cosine), literal_coefficients(slabs, carrier_hz, cosine)):
+        weights = [torch.randn(part.shape, generator=torch.Generator().manual_seed(1)) for part in tables]
+        total = sum((part.real * weight - part.imag).sum() for part, weight in zip(tables, weights, strict=True))
+        results.append((*(part.detach() for part in tables), *torch.autograd.grad(total, list(slabs.parameters()))))
+    for own, literal in zip(*results, strict=True):
+        torch.testing.assert_close(own, literal, rtol=1e-4, atol=1e-5 * float(literal.abs().max()))  # float32
+
+
+def literal_coefficients(
+    slabs: LearnedSlabs, carrier_hz: torch.Tensor, cosine: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """ITU-R P.2040, Eqs. 37, 43 and 44."""
+    slab, ghz, cosine = (..., None, None), (carrier_hz / 1e9).float(), cosine[:, None]
+    conductivity = slabs.log_conductivity.exp()[slab] * ghz ** slabs.power[slab]
+    loss = conductivity / (2 * math.pi * VACUUM_PERMITTIVITY_F_M * carrier_hz.float())
+    permittivity = torch.complex(1 + slabs.log_susceptibility.exp()[slab].expand_as(loss), -loss)
+    root = (permittivity - (1 - cosine * cosine)).sqrt()
+    te = (cosine - root) / (cosine + root)
+    tm = (permittivity * cosine - root) / (permittivity * cosine + root)
+    depth = 2 * math.pi * carrier_hz.float() / SPEED_OF_LIGHT_M_S * slabs.log_thickness.exp()[slab]
+    face, once = torch.stack([te, tm], dim=-2), (-1j * depth * root).exp()[..., None, :]
+    loop = 1 - (face * once) ** 2
+    return face * (1 - once**2) / loop, ((1 - face**2) * once / loop).mean(dim=-2)
 
 
 def test_gains_of_paths_and_their_slopes_are_those_of_sums_over_all_choices_of_polarisation() -> None:
