@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.nn.functional import normalize, pad
 
 from ..search.planes import Plane
+from .slab_kernels import crossings
 
 Antenna = tuple[str, str]  # pattern and polarisation, as a `ReceiverArray` has them
 
@@ -66,6 +67,11 @@ class Touch:
     def flattened(self) -> Touch:
         """The same with all axes flattened to one."""
         return Touch(self.plane.flatten(), self.point_m.flatten(0, -2), self.cosine.flatten())
+
+    @property
+    def by_path(self) -> tuple[Int[Tensor, "N C"], Float[Tensor, "N C 2"], Float[Tensor, "N C"]]:
+        """Planes, points and cosines, with the first two axes flattened to one."""
+        return self.plane.flatten(0, 1), self.point_m.flatten(0, 1), self.cosine.flatten(0, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +152,7 @@ def trace(mirrors: Mirrors, sequence: Int[Tensor, "K O"], tx_m: Float[Tensor, "B
         is_real=is_real,
         polarised=_polarised(mirrors, sequence, stretch, antenna).float(),
         bounce=_touch(mirrors, torch.where(is_real[..., None], sequence, -1), points, stretch[:, :, :-1]),
-        crossing=_crossings(mirrors, nodes, stretch, is_real),
+        crossing=_crossings(mirrors, nodes, is_real),
     )
 
 
@@ -232,23 +238,10 @@ def _touch(
     )
 
 
-def _crossings(
-    mirrors: Mirrors, nodes: Float[Tensor, "B K N 3"], stretch: Float[Tensor, "B K S 3"], is_real: Bool[Tensor, "B K"]
-) -> Touch:
+def _crossings(mirrors: Mirrors, nodes: Float[Tensor, "B K N 3"], is_real: Bool[Tensor, "B K"]) -> Touch:
     """Where the stretches of real paths go through planes."""
     height = nodes @ mirrors.normal.T - mirrors.distance_m
-    before, after = height[:, :, :-1], height[:, :, 1:]
-    is_hit = (before * after < 0) & (before.abs() > _TOUCH_M) & (after.abs() > _TOUCH_M)
-    is_hit = is_hit.flatten(2) & is_real[..., None]
-    width = int(is_hit.sum(-1).max()) if is_hit.numel() else 0
-    hit, which = is_hit.to(torch.uint8).topk(width, dim=-1)
-    plane, part = which % max(1, len(mirrors)), which // max(1, len(mirrors))
-    share = (before / (before - after + (before == after))).flatten(2).gather(2, which)
-    start, end = (_taken(nodes, part + shift) for shift in (0, 1))
-    point = start + share[..., None] * (end - start)
-    return _touch(mirrors, torch.where(hit > 0, plane, -1), point, _taken(stretch, part))
-
-
-def _taken(values: Float[Tensor, "B K N 3"], index: Int[Tensor, "B K C"]) -> Float[Tensor, "B K C 3"]:
-    """Entries of the third axis by index."""
-    return values.gather(2, index[..., None].expand(*index.shape, 3))
+    tensors = nodes.flatten(0, 1), height.flatten(0, 1), is_real.flatten(), mirrors.axes
+    nodes_m, height_m, are_real, axes = (each.contiguous().numpy() for each in tensors)
+    met = crossings(nodes_m, height_m, are_real, axes, _TOUCH_M)
+    return Touch(*(torch.from_numpy(each).unflatten(0, is_real.shape) for each in met))

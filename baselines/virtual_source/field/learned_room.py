@@ -15,7 +15,8 @@ from ..config import SourceConfig
 from ..room.faces import ALIKE, Cells, faces
 from ..search.planes import Plane
 from .images import Antenna, Mirrors, Touch, Traces, sequences, trace
-from .slabs import METAL, METAL_REFLECTION, NOTHING, LearnedSlabs, Presence, looked_up
+from .slab_kernels import METAL, NOTHING
+from .slabs import LearnedSlabs, Presence, path_gains
 
 MAX_CROSSINGS = 6  # of planes that count for a path: those that are present most probably
 _MARGIN_M = 1.0  # by which cells extend beyond transmitters and receiver
@@ -160,34 +161,7 @@ class LearnedRoom(nn.Module):
     def attenuated(self, traces: Traces, carrier_hz: Float[Tensor, "F"]) -> Complex[Tensor, "B K F"]:
         """Gains of paths without phase of travel and correction, in units of the line of sight in free space."""
         spread = traces.is_real * (traces.direct_m[:, None] / traces.length_m.clamp_min(MIN_LENGTH_M))
-        if not len(self.normal):
-            gain = (spread.float() * traces.polarised[..., 0])[..., None]
-            return torch.complex(gain, torch.zeros_like(gain)).expand(*spread.shape, len(carrier_hz))
-        reflecting, transmitting = self.slabs.tables(carrier_hz)
-        factors = None
-        if traces.bounce.plane.shape[-1]:
-            factors = self._factors(traces.bounce, reflecting, is_crossed=False).unflatten(-1, (2, -1))
-        gain = _combined(traces.polarised, factors, len(carrier_hz))
-        through = self._factors(traces.crossing, transmitting, is_crossed=True)
-        for crossing in through.unbind(2):
-            gain = gain * crossing
-        return gain * spread.float()[..., None]
-
-    def _factors(self, touch: Touch, table: Float[Tensor, "R C"], *, is_crossed: bool) -> Complex[Tensor, "B K O F"]:
-        """Factors where paths meet planes: transmission, or reflection for TE and then TM; 1 where there is none."""
-        flat = touch.flattened()
-        met = (flat.plane >= 0).nonzero()[:, 0]
-        part = flat[met]
-        share = self.presence.shares(part)
-        rows = looked_up(table, len(self.normal), part.plane, part.cosine, share[:, NOTHING + 1 : METAL])
-        values = torch.view_as_complex(rows.unflatten(-1, (-1, 2)))
-        if is_crossed:
-            values = values + share[:, NOTHING, None]
-        else:
-            metal = share.new_tensor(METAL_REFLECTION).repeat_interleave(values.shape[1] // 2)
-            values = values + share[:, METAL, None] * metal
-        one = torch.ones(len(flat.plane), values.shape[-1], dtype=values.dtype)
-        return one.index_put((met,), values).unflatten(0, touch.plane.shape)
+        return path_gains(self.slabs, self.presence, traces, spread.float(), carrier_hz)
 
     def findings(self, array_m: Float[Tensor, "3"]) -> dict[str, Any]:
         """Planes with materials and extent, images by mean power, and faces, as JSON holds them; in world axes."""
@@ -270,16 +244,3 @@ def _are_walls(mirrors: Mirrors, offset_m: Float[Tensor, "T 3"]) -> Bool[Tensor,
     is_alike = mirrors.normal @ mirrors.normal.T > ALIKE
     is_stronger = torch.ones_like(is_alike).tril(-1)
     return holds_all & ~(is_alike & is_stronger & holds_all).any(1)
-
-
-def _combined(
-    polarised: Float[Tensor, "B K C"], factors: Complex[Tensor, "B K O 2 F"] | None, num_carriers: int
-) -> Complex[Tensor, "B K F"]:
-    """Σ_c polarised_c Π_o R_{o, c_o}, computed from the last bounce backwards: pairs of terms share the rest."""
-    terms = polarised.movedim(-1, 0)[..., None]
-    if factors is None:
-        return terms[0].expand(*terms.shape[1:3], num_carriers).to(torch.complex64)
-    for bounce in reversed(factors.unbind(2)):
-        te, tm = bounce.unbind(2)
-        terms = terms[::2] * te + terms[1::2] * tm
-    return terms[0]

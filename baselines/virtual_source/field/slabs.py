@@ -6,28 +6,28 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Complex, Float, Int
+from jaxtyping import Bool, Complex, Float
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M
+from xfreqbench.types import NDArray
 
 from ..room.surfaces import METAL_THICKNESS_M
-from .images import Touch
-from .slab_kernels import slopes_of_rows, sum_rows
+from . import coefficient_kernels, slab_kernels
+from .images import Touch, Traces
+from .slab_kernels import NOTHING
 
 NUM_COSINES = 64  # angles of the table of coefficients, which are interpolated between them
 _START_PERMITTIVITY, _START_CONDUCTIVITY_S_M, _START_POWER = 3.0, 0.02, 0.9
 _START_THICKNESS_M = (0.1, 0.012)  # a wall and a pane
-METAL_REFLECTION = (-1.0, 1.0)  # TE, TM: the limit of high conductivity
 _METAL = {  # which learning does not change
     "permittivity": 1.0,
     "conductivity_s_m": 1e7,
     "conductivity_power": 0.0,
     "thickness_m": METAL_THICKNESS_M,
 }
-NOTHING, THICK, THIN, METAL = range(4)
 # Logits at the start: walls are present, facets hardly.
 _WALL, _FACET = (-1.0, 2.0, 0.0, -1.0), (3.0, -0.7, -1.2, -1.2)
 
@@ -54,33 +54,11 @@ class LearnedSlabs(nn.Module):
 
         The first axis is the slab, thick or thin; `cosine` is that of the angle to the normal.
         """
-        carrier = carrier_hz.float()
-        ghz = carrier / 1e9
-        slab = (..., None, None)
-        conductivity = self.log_conductivity.exp()[slab] * ghz ** self.power[slab]
-        permittivity = torch.complex(
-            1 + self.log_susceptibility.exp()[slab].expand_as(conductivity),
-            -conductivity / (2 * math.pi * VACUUM_PERMITTIVITY_F_M * carrier),
-        )
-        cosine = cosine[:, None]
-        root = _root(permittivity - (1 - cosine * cosine))
-        wavenumber = 2 * math.pi * carrier / SPEED_OF_LIGHT_M_S
-        depth = wavenumber * self.log_thickness.exp()[slab]
-        once = (depth * root.imag).exp() * phasor(-depth * root.real)
-        te = (cosine - root) / (cosine + root)
-        tm = (permittivity * cosine - root) / (permittivity * cosine + root)
-        face = torch.stack([te, tm], dim=-2)
-        once = once[..., None, :]
-        inverse = 1 / (1 - (face * once) ** 2)
-        reflected = face * (1 - once * once) * inverse
-        transmitted = ((1 - face * face) * once * inverse).mean(dim=-2)
+        slabs = torch.stack([self.log_susceptibility, self.log_conductivity, self.power, self.log_thickness])
+        ghz = (carrier_hz / 1e9).float()
+        tables = _Coefficients.apply(slabs.flatten(1), ghz, cosine)  # type: ignore[no-untyped-call]
+        reflected, transmitted = (torch.view_as_complex(table).unflatten(0, self.power.shape) for table in tables)
         return reflected, transmitted
-
-    def tables(self, carrier_hz: Float[Tensor, "F"]) -> tuple[Float[Tensor, "R 4*F"], Float[Tensor, "R 2*F"]]:
-        """Coefficients of every slab at `NUM_COSINES` angles as rows of real numbers, for `looked_up`."""
-        cosine = torch.linspace(0, 1, NUM_COSINES, device=self.power.device)
-        reflected, transmitted = self.coefficients(carrier_hz, cosine)
-        return _as_rows(reflected), _as_rows(transmitted)
 
     def take(self, other: LearnedSlabs, kept: Sequence[int]) -> None:
         """Copy the parameters of some planes of `other` to the first planes."""
@@ -109,55 +87,65 @@ def phasor(angle_rad: Float[Tensor, "..."]) -> Complex[Tensor, "..."]:
     return torch.complex(angle_rad.cos(), angle_rad.sin())
 
 
-def _root(square: Complex[Tensor, "..."]) -> Complex[Tensor, "..."]:
-    """The root of numbers with a positive real part, faster than `torch.sqrt`."""
-    real = ((square.abs() + square.real) / 2).sqrt()
-    return torch.complex(real, square.imag / (2 * real))
-
-
-def _as_rows(values: Complex[Tensor, "2 Q N ..."]) -> Float[Tensor, "R C"]:
-    """One row of real numbers for each slab, plane and angle."""
-    return torch.view_as_real(values).flatten(0, 2).flatten(1)
-
-
-def looked_up(
-    table: Float[Tensor, "R C"],
-    num_planes: int,
-    plane: Int[Tensor, "n"],
-    cosine: Float[Tensor, "n"],
-    share: Float[Tensor, "n 2"],
-) -> Float[Tensor, "n C"]:
-    """Σ_m share_m · (row of `plane` and slab m), interpolated between angles of incidence."""
-    place = cosine * (NUM_COSINES - 1)
-    below = place.long().clamp_max(NUM_COSINES - 2)
-    weight = place - below
-    first = plane * NUM_COSINES + below
-    second = first + num_planes * NUM_COSINES
-    rows = torch.stack([first, first + 1, second, second + 1], dim=-1)
-    blend = torch.stack([1 - weight, weight], dim=-1)
-    return _sum_of_rows(table, rows, (share[:, :, None] * blend[:, None]).flatten(1))
-
-
-def _sum_of_rows(table: Float[Tensor, "R C"], rows: Int[Tensor, "n K"], weight: Float[Tensor, "n K"]) -> Tensor:
-    """Σ_k weight[n, k] · table[rows[n, k]]: (n, C)."""
-    summed: Tensor = _SumOfRows.apply(table.contiguous(), rows, weight)  # type: ignore[no-untyped-call]
-    return summed
-
-
-class _SumOfRows(torch.autograd.Function):
-    """As `embedding_bag`, whose slope is slower, for it sorts the rows."""
+class _Coefficients(torch.autograd.Function):
+    """Coefficients (S, N, 2, F, 2) and (S, N, F, 2) by compiled kernels, with slopes by the slabs (4, S)."""
 
     @staticmethod
-    def forward(ctx: Any, table: Tensor, rows: Tensor, weight: Tensor) -> Tensor:
-        ctx.save_for_backward(table, rows, weight)
-        return torch.from_numpy(sum_rows(*(values.detach().numpy() for values in (table, rows, weight))))
+    def forward(ctx: Any, slabs: Tensor, carrier_ghz: Tensor, cosine: Tensor) -> tuple[Tensor, Tensor]:
+        arguments = arrays_of(slabs, carrier_ghz, cosine)
+        reflected, transmitted, rows = coefficient_kernels.coefficients(*arguments)
+        ctx.arguments = *arguments, rows
+        return torch.from_numpy(reflected), torch.from_numpy(transmitted)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, None, Tensor]:
-        values = (*ctx.saved_tensors, slope.contiguous())
-        of_table, of_weight = slopes_of_rows(*(each.detach().numpy() for each in values))
-        return torch.from_numpy(of_table), None, torch.from_numpy(of_weight)
+    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor, None, None]:
+        of_slabs = coefficient_kernels.slopes_of_coefficients(*ctx.arguments, *arrays_of(*slopes))
+        return torch.from_numpy(of_slabs), None, None
+
+
+def path_gains(
+    slabs: LearnedSlabs,
+    presence: Presence,
+    traces: Traces,
+    spread: Float[Tensor, "B K"],
+    carrier_hz: Float[Tensor, "F"],
+) -> Complex[Tensor, "B K F"]:
+    """`spread` times Σ_c polarised_c Π_o R_{o, c_o}, times the transmission of all crossings.
+
+    A factor is a mean over what the cells hold; slabs' coefficients are interpolated between `NUM_COSINES` angles.
+    """
+    reflecting, transmitting = slabs.coefficients(carrier_hz, torch.linspace(0, 1, NUM_COSINES))
+    parts = traces.polarised.flatten(0, 1), spread.flatten(), *traces.bounce.by_path, *traces.crossing.by_path
+    tables = *(torch.view_as_real(table).flatten(3) for table in (reflecting, transmitting)), presence.logits
+    gain: Tensor = _PathGains.apply(*tables, presence.low_m, presence.cell_m, *parts)  # type: ignore[no-untyped-call]
+    return gain.unflatten(0, spread.shape)
+
+
+class _PathGains(torch.autograd.Function):
+    """Gains (N, F) of N paths by compiled kernels, with slopes by both tables and the cells' logits."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, reflecting: Tensor, transmitting: Tensor, logits: Tensor, low_m: Tensor, cell_m: float, *parts: Tensor
+    ) -> Tensor:
+        tables, (polarised, spread, *touches) = arrays_of(reflecting, transmitting), arrays_of(*parts)
+        cells = *arrays_of(logits, low_m), np.float32(cell_m)
+        arguments: Any = polarised, spread, tuple(touches[:3]), tuple(touches[3:]), *tables, cells
+        gain, *of_paths = slab_kernels.gains(*arguments)
+        ctx.arguments = *arguments, *of_paths
+        return torch.from_numpy(gain)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
+        slopes = slab_kernels.slopes_of_gains(*ctx.arguments, *arrays_of(slope.resolve_conj()))
+        return *map(torch.from_numpy, slopes), *(None,) * 10
+
+
+def arrays_of(*tensors: Tensor) -> list[NDArray[Any]]:
+    """What kernels take of tensors."""
+    return [tensor.detach().contiguous().numpy() for tensor in tensors]
 
 
 def _softmax(logits: Float[Tensor, "... 4"]) -> Float[Tensor, "... 4"]:
@@ -219,24 +207,13 @@ class Presence(nn.Module):
     def held(self, touch: Touch) -> Float[Tensor, "*S"]:
         """Settled share of anything where paths meet planes; 0 where they meet none."""
         flat = touch.flattened()
-        share = 1 - self._interpolated(self.settled, flat)[:, NOTHING]
-        return torch.where(flat.plane >= 0, share, 0.0).reshape(touch.plane.shape)
+        return (1 - self._shares(self.settled, flat)[:, NOTHING]).reshape(touch.plane.shape)
 
     def shares(self, touch: Touch) -> Float[Tensor, "n 4"]:
-        """Shares at points of planes, `touch` flattened; values where no plane is met are meaningless."""
-        return self._interpolated(self.logits, touch)
+        """Shares at points of planes, `touch` flattened, without slopes; nothing where no plane is met."""
+        return self._shares(self.logits, touch)
 
-    def _interpolated(self, logits: Float[Tensor, "Q I J 4"], touch: Touch) -> Float[Tensor, "n 4"]:
+    def _shares(self, logits: Float[Tensor, "Q I J 4"], touch: Touch) -> Float[Tensor, "n 4"]:
         """Softmax of logits interpolated between the four cells around each point."""
-        _, rows, columns, _ = logits.shape
-        plane = touch.plane.clamp_min(0)
-        place = (touch.point_m - self.low_m[plane]) / self.cell_m
-        limit = place.new_tensor([rows - 1, columns - 1])
-        place = place.clamp_min(0).minimum(limit)
-        below = place.long().minimum(limit.long() - 1)
-        weight = place - below
-        corner = (plane * rows + below[:, 0]) * columns + below[:, 1]
-        cells = torch.stack([corner, corner + 1, corner + columns, corner + columns + 1], dim=-1)
-        along, across = (torch.stack([1 - part, part], dim=-1) for part in weight.unbind(-1))
-        blend = (along[:, :, None] * across[:, None]).flatten(1)
-        return _softmax(_sum_of_rows(logits.flatten(0, 2), cells, blend))
+        of_cells, low_m, plane, point_m = arrays_of(logits, self.low_m, touch.plane, touch.point_m)
+        return torch.from_numpy(slab_kernels.shares((of_cells, low_m, np.float32(self.cell_m)), plane, point_m))

@@ -296,9 +296,13 @@ def _leaked(reference: CrossTerms, mine: _Wave, other: _Wave) -> Float[FloatArra
 def _is_double(reference: CrossTerms, candidate: Candidate, planes: Sequence[Candidate]) -> bool:
     """Whether a path over two other planes is as long and explains the directions of arrival better."""
     others = [plane for plane in planes if plane is not candidate]
-    for first, second in permutations(others, 2):
-        if not _is_near(reference, candidate.place_m, mirrored(second.place_m, first.place_m)):
+    place_m = np.array([plane.place_m for plane in others]).reshape(-1, 3)
+    double_m = np.array([mirrored(place_m, first_m) for first_m in place_m]).reshape(len(others), len(others), 3)
+    apart_m = np.linalg.norm(double_m - candidate.place_m, axis=2)  # and a plane's double by itself is the receiver
+    for pair in np.argwhere(apart_m <= MAX_TILT * np.linalg.norm(double_m, axis=2)).tolist():
+        if not _is_near(reference, candidate.place_m, double_m[tuple(pair)]):
             continue
+        first, second = (others[nth] for nth in pair)
         # of three planes parallel to it, an array cannot tell which is the double; the faintest is rejected
         is_faintest = candidate.score < min(first.score, second.score)
         wave = _wave(reference, [first.place_m, second.place_m], candidate.place_m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
@@ -9,13 +10,13 @@ from itertools import product
 import numpy as np
 import pytest
 import torch
-from torch.nn.functional import embedding_bag
 from xfreqbench.baselines.virtual_source.config import SourceConfig
 from xfreqbench.baselines.virtual_source.field import learned_room as room_module
 from xfreqbench.baselines.virtual_source.field import slabs as slabs_module
-from xfreqbench.baselines.virtual_source.field.images import Antenna, Traces, sequences, trace
+from xfreqbench.baselines.virtual_source.field.images import Antenna, Touch, Traces, sequences, trace
 from xfreqbench.baselines.virtual_source.field.learned_room import MAX_CROSSINGS, LearnedRoom
-from xfreqbench.baselines.virtual_source.field.slabs import NOTHING, THICK, LearnedSlabs, looked_up
+from xfreqbench.baselines.virtual_source.field.slab_kernels import METAL, METAL_REFLECTION, NOTHING, THICK, THIN
+from xfreqbench.baselines.virtual_source.field.slabs import LearnedSlabs, Presence
 from xfreqbench.baselines.virtual_source.search.planes import Plane
 
 from tests.support.box_room import SIDES, SIZE_M, closed_room, plane
@@ -25,7 +26,7 @@ from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.units import SPEED_OF_LIGHT_M_S
+from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 RECEIVER = ReceiverArray(position_m=(2.1, 1.7, 2.2))
@@ -148,39 +149,111 @@ def test_coefficients_are_those_of_the_solver(material: str) -> None:
             np.testing.assert_allclose(transmitted[0, 0, row, column].numpy(), np.mean(passed), atol=2e-5)
 
 
-def test_weighted_sums_of_rows_and_their_slopes_are_those_of_an_embedding_bag() -> None:
+def test_coefficients_and_their_slopes_are_those_of_the_formula() -> None:
     generator = torch.Generator().manual_seed(0)
-    rows = torch.randint(20, (300, 4), generator=generator)
-    slope = torch.randn(300, 6, generator=generator)
-    results = []
-    for is_own in (True, False):
-        table = torch.randn(20, 6, generator=torch.Generator().manual_seed(1)).requires_grad_()
-        weight = torch.rand(300, 4, generator=torch.Generator().manual_seed(2)).requires_grad_()
-        if is_own:
-            total = slabs_module._sum_of_rows(table, rows, weight)
-        else:
-            total = embedding_bag(rows, table, mode="sum", per_sample_weights=weight)
-        total.backward(slope)
-        results.append((total, table.grad, weight.grad))
-    for own, known in zip(*results, strict=True):
-        torch.testing.assert_close(own, known, rtol=1e-5, atol=1e-5)
-
-
-def test_a_table_of_coefficients_is_a_good_stand_in_at_angles_between_its_own() -> None:
-    generator = torch.Generator().manual_seed(0)
-    slabs, carrier_hz = LearnedSlabs(3), torch.tensor([1e9, 10e9, 94e9], dtype=torch.float64)
-    cosine, plane_ = torch.rand(200, generator=generator), torch.arange(200) % 3
-    share = torch.rand(200, 2, generator=generator) / 2
+    slabs, cosine, carrier_hz = LearnedSlabs(5), torch.linspace(0, 1, 23), torch.tensor([1e9, 10e9]).double()
     with torch.no_grad():
-        slabs.log_susceptibility += 0.5 * torch.randn(2, 3, generator=generator)
-        reflected, _ = slabs.coefficients(carrier_hz, cosine)
-        direct = torch.einsum("nm,mnpf->npf", share.cfloat(), reflected[:, plane_, torch.arange(200)])
-        rows = looked_up(slabs.tables(carrier_hz)[0], 3, plane_, cosine, share)
-    told = torch.view_as_complex(rows.unflatten(-1, (2, 3, 2)))
-    error = (told - direct).abs()
-    # measured: 2e-4, and 2e-3 where TM turns quickly towards grazing incidence
+        for parameter in slabs.parameters():
+            parameter += 0.3 * torch.randn(parameter.shape, generator=generator)
+    results = []
+    for tables in (slabs.coefficients(carrier_hz, cosine), literal_coefficients(slabs, carrier_hz, cosine)):
+        weights = [torch.randn(part.shape, generator=torch.Generator().manual_seed(1)) for part in tables]
+        total = sum((part.real * weight - part.imag).sum() for part, weight in zip(tables, weights, strict=True))
+        results.append((*(part.detach() for part in tables), *torch.autograd.grad(total, list(slabs.parameters()))))
+    for own, literal in zip(*results, strict=True):
+        torch.testing.assert_close(own, literal, rtol=1e-4, atol=1e-5 * float(literal.abs().max()))  # float32
+
+
+def literal_coefficients(
+    slabs: LearnedSlabs, carrier_hz: torch.Tensor, cosine: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """ITU-R P.2040, Eqs. 37, 43 and 44."""
+    slab, ghz, cosine = (..., None, None), (carrier_hz / 1e9).float(), cosine[:, None]
+    conductivity = slabs.log_conductivity.exp()[slab] * ghz ** slabs.power[slab]
+    loss = conductivity / (2 * math.pi * VACUUM_PERMITTIVITY_F_M * carrier_hz.float())
+    permittivity = torch.complex(1 + slabs.log_susceptibility.exp()[slab].expand_as(loss), -loss)
+    root = (permittivity - (1 - cosine * cosine)).sqrt()
+    te = (cosine - root) / (cosine + root)
+    tm = (permittivity * cosine - root) / (permittivity * cosine + root)
+    depth = 2 * math.pi * carrier_hz.float() / SPEED_OF_LIGHT_M_S * slabs.log_thickness.exp()[slab]
+    face, once = torch.stack([te, tm], dim=-2), (-1j * depth * root).exp()[..., None, :]
+    loop = 1 - (face * once) ** 2
+    return face * (1 - once**2) / loop, ((1 - face**2) * once / loop).mean(dim=-2)
+
+
+def test_gains_of_paths_and_their_slopes_are_those_of_sums_over_all_choices_of_polarisation() -> None:
+    room, _, traces = traced_in_box(("dipole", "V"))
+    generator = torch.Generator().manual_seed(0)
+    disturb(room, generator)
+    with torch.no_grad():
+        traces = traces.with_crossings_of(room.presence.held(traces.crossing), MAX_CROSSINGS)
+    assert bool((traces.bounce.plane >= 0).all(-1).any()) and bool((traces.crossing.plane >= 0).all(-1).any())
+    carrier_hz, results = torch.as_tensor(CARRIER_HZ), []
+    for gain in (room.attenuated(traces, carrier_hz), literal_gains(room, traces, carrier_hz)):
+        weight = torch.randn(gain.shape, generator=torch.Generator().manual_seed(1))
+        results.append(
+            (gain.detach(), *torch.autograd.grad((gain.real * weight + gain.imag).sum(), list(room.parameters())))
+        )
+    for own, literal in zip(*results, strict=True):
+        torch.testing.assert_close(own, literal, rtol=1e-4, atol=1e-5 * float(literal.abs().max()))  # float32
+
+
+def test_a_table_of_coefficients_is_a_good_stand_in_at_angles_between_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    room, _, traces = traced_in_box(("iso", "V"))
+    disturb(room, torch.Generator().manual_seed(0))
+    gains = []
+    for num_cosines in (slabs_module.NUM_COSINES, 20_000):
+        monkeypatch.setattr(slabs_module, "NUM_COSINES", num_cosines)
+        with torch.no_grad():
+            gains.append(room.attenuated(traces, torch.as_tensor(CARRIER_HZ)))
+    error = (gains[0] - gains[1]).abs()
     assert float(error.square().mean().sqrt()) < 1e-3
     assert float(error.max()) < 1e-2
+
+
+def disturb(room: LearnedRoom, generator: torch.Generator) -> None:
+    """Other materials in every plane, and anything in its cells."""
+    with torch.no_grad():
+        room.slabs.log_susceptibility += 0.5 * torch.randn(room.slabs.power.shape, generator=generator)
+        room.presence.logits[:] = torch.randn(room.presence.logits.shape, generator=generator)
+    room.presence.settle()
+
+
+def literal_gains(room: LearnedRoom, traces: Traces, carrier_hz: torch.Tensor) -> torch.Tensor:
+    """What `LearnedRoom.attenuated` computes, as its formula says it."""
+    cosine = torch.linspace(0, 1, slabs_module.NUM_COSINES)
+    reflecting, transmitting = room.slabs.coefficients(carrier_hz, cosine)
+    bounce = literal_factors(room.presence, traces.bounce, reflecting, METAL, METAL_REFLECTION)
+    through = literal_factors(room.presence, traces.crossing, transmitting[:, :, :, None], NOTHING, (1.0,))
+    gain = torch.zeros(*traces.is_real.shape, len(carrier_hz), dtype=torch.complex64)
+    for nth, choice in enumerate(product((0, 1), repeat=bounce.shape[2])):
+        term = traces.polarised[..., nth, None].to(gain.dtype)
+        for order, polarisation in enumerate(choice):
+            term = term * bounce[:, :, order, polarisation]
+        gain = gain + term
+    spread = (traces.is_real * traces.direct_m[:, None] / traces.length_m).float()
+    return gain * through[..., 0, :].prod(dim=2) * spread[..., None]
+
+
+def literal_factors(
+    presence: Presence, touch: Touch, table: torch.Tensor, kind: int, plain: Sequence[float]
+) -> torch.Tensor:
+    """Factors (B, K, O, V, F) where paths meet planes; 1 where they meet none."""
+    plane, limit = touch.plane.clamp_min(0), torch.tensor(presence.logits.shape[1:3]) - 1
+    place = ((touch.point_m - presence.low_m[plane]) / presence.cell_m).clamp_min(0).minimum(limit)
+    below = place.long().minimum(limit - 1)
+    (i, j), (along, across) = below.unbind(-1), (place - below).unbind(-1)
+    corners = product(enumerate((1 - along, along)), enumerate((1 - across, across)))
+    logits = [(a * b)[..., None] * presence.logits[plane, i + row, j + column] for (row, a), (column, b) in corners]
+    share = torch.stack(logits).sum(0).softmax(-1)[..., None, None]
+    angle = touch.cosine * (table.shape[2] - 1)
+    first = angle.long().clamp_max(table.shape[2] - 2)
+    weight = (angle - first)[..., None, None]
+    slabs = (1 - weight) * table[:, plane, first] + weight * table[:, plane, first + 1]
+    value = share[:, :, :, kind] * torch.tensor(plain)[:, None]
+    for slab, held in enumerate((THICK, THIN)):
+        value = value + share[:, :, :, held] * slabs[slab]
+    return torch.where((touch.plane >= 0)[..., None, None], value, 1)
 
 
 def room_of(planes: Sequence[Plane], tx_m: Sequence[Sequence[float]], max_order: int = 1) -> LearnedRoom:
