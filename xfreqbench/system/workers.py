@@ -257,18 +257,20 @@ def _forking(places: Sequence[Cores], imports: tuple[str, ...]) -> BaseContext |
     (size, *others) = {len(cores) for cores in places}
     if not imports or others or not hasattr(os, "sched_setaffinity"):
         return None
-    context, before = multiprocessing.get_context("forkserver"), os.sched_getaffinity(0)
+    context = multiprocessing.get_context("forkserver")
     if _forks is None:
-        _forks = size, imports
         context.set_forkserver_preload(list(imports))
-        with safe_path():
-            os.sched_setaffinity(0, places[0])  # of this thread
-            signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPT)  # it is not ignored before all is imported
-            try:
+        cores, mask = os.sched_getaffinity(0), signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPT)  # of this thread
+        try:
+            os.sched_setaffinity(0, places[0])
+            with safe_path():
                 forkserver.ensure_running()
-            finally:
-                signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPT)
-                os.sched_setaffinity(0, before)
+            _forks = size, imports
+        except OSError:  # no socket can be made in the folder of temporary files, as where its name is too long
+            _forks = 0, ()
+        finally:
+            os.sched_setaffinity(0, cores)
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     return context if _forks[0] == size and set(imports) <= set(_forks[1]) else None
 
 
