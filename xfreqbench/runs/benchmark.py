@@ -59,18 +59,18 @@ BENCH_COMMANDS = {  # the command of each measurement, and the minutes that it t
 }
 _PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
 
-_TRIVIAL_S, _BESIDE_FIT_S = 4.0, 5.0  # as measured: a run that fits nothing, and what others take besides their fits
+_TRIVIAL_S, _BESIDE_FIT_S = 3.1, 5.4  # as measured: a run that fits nothing, and what others take besides their fits
 _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside it
-    "fixed-frequency-gs": 1e-4,
-    "frequency-embedded-gs": 1e-4,
-    "xfreq-gs": 1.2e-4,
+    "fixed-frequency-gs": 8.2e-5,
+    "frequency-embedded-gs": 8.2e-5,
+    "xfreq-gs": 9e-5,
     "room-lags": 5.5e-4,
-    "virtual-source": 4e-4,
-    "wideband-3dgs": 3.3e-4,
-    "wrf-gs-plus": 5e-4,
+    "virtual-source": 3.8e-4,
+    "wideband-3dgs": 3.1e-4,
+    "wrf-gs-plus": 4.5e-4,
     "xfreq-gs-paper": 0.018,
 }
-_USUAL_SECONDS_A_MAP = 2.4e-4
+_USUAL_SECONDS_A_MAP = 1.9e-4
 _ROOM_S, _SCORED_S, _TESTED_ROOMS = 1.2, 0.5, 107  # to trace a room; to score one; tested rooms of a thousand
 _MAPS_A_STEP = 128  # of xfreq-gs, which alone has budgets in steps in the presets
 
