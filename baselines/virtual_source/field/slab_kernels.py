@@ -23,7 +23,6 @@ _FAST = {"contract", "reassoc"}
 F32 = NDArray[np.float32]
 C64 = NDArray[np.complex64]
 I64 = NDArray[np.int64]
-Bool = NDArray[np.bool_]
 Touches = tuple[I64, F32, F32]  # plane (N, K), point (N, K, 2), cosine (N, K)
 Cells = tuple[F32, F32, np.float32]  # logits (Q, I, J, 4), lowest corners (Q, 2) and side in metres
 
