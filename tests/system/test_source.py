@@ -15,11 +15,12 @@ PACKAGE = "reached_package"
 METHOD = """
 from . import first
 from .inner import deep
+from .bare import within
 
 def fit():
     from reached_package.second import value
     import reached_package.offers as offers
-    return first.helper() + value + deep.VALUE + offers.name()
+    return first.helper() + value + deep.VALUE + offers.name() + within.VALUE
 """
 FILES = {
     "__init__.py": '"""A package."""\n',
@@ -30,13 +31,14 @@ FILES = {
     "inner/__init__.py": '"""An inner package."""\n',
     "inner/deep.py": "from ..fourth import VALUE\n",
     "fourth.py": "VALUE = 4\n",
+    "bare/within.py": "VALUE = 7\n",  # in a folder without `__init__`
     "offers/__init__.py": "import lazy_loader as lazy\n\n"
     "__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)\n",
     "offers/__init__.pyi": "from .lazily import name\nfrom .never import other\n",
     "offers/lazily.py": "def name():\n    return 5\n",
     "offers/never.py": "def other():\n    return 6\n",
 }
-REACHED = {"method", "first", "second", "inner.deep", "fourth", "offers.lazily"}
+REACHED = {"method", "first", "second", "inner.deep", "fourth", "bare.within", "offers.lazily"}
 
 
 @pytest.fixture

@@ -271,7 +271,11 @@ def _spec(module: str, search_path: tuple[str, ...]) -> ModuleSpec | None:
             return None
         folders = list(found.submodule_search_locations)
     for finder in sys.meta_path:
-        spec = finder.find_spec(module, folders) if hasattr(finder, "find_spec") else None
+        try:
+            spec = finder.find_spec(module, folders) if hasattr(finder, "find_spec") else None
+        except KeyError:  # Python describes a folder without `__init__` by the package around it, if that is imported
+            spec = ModuleSpec(module, None, is_package=True)
+            spec.submodule_search_locations = [str(Path(folder, module.rpartition(".")[2])) for folder in folders or []]
         if spec:
             return spec
     return None
