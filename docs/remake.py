@@ -23,6 +23,7 @@ from xfreqbench.report.leaderboard.tables import ranking_table
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = [ROOT / "baselines" / f"{name}_results.jsonl" for name in ("reference", "paper_size", "unseen_rooms")]
+BY_HAND = "paper-size.md"  # among the pages of results
 TABLE = re.compile(r"(?<=<!-- leaderboard -->\n).*?(?=\n<!-- /leaderboard -->)", re.DOTALL)
 
 
@@ -33,9 +34,12 @@ def take(folders: list[Path]) -> None:
 
 
 def remake(root: Path, page: Path | None = None) -> WrittenReport:
-    """Make the pages below `root`, and the web page."""
-    found = read_results(RECORDS)
-    written = write_report(found, root / "BENCHMARK.md", root / "docs" / "results", results_at("v1"))
+    """Make the pages below `root`, and the web page; pages of results that are made no more are removed."""
+    found, details = read_results(RECORDS), root / "docs" / "results"
+    written = write_report(found, root / "BENCHMARK.md", details, results_at("v1"))
+    for path in set(details.rglob("*.*")) - set(written.paths):
+        if path.name != BY_HAND:
+            path.unlink()
     office = next(board for board in found.boards if board.title.startswith("office · lofo · power maps · quick"))
     shown = ranking_table(first_comparison(office), BRIEF).split("\n\n")
     table = next(part for part in shown if part.startswith("| "))

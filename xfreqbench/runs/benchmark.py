@@ -296,7 +296,7 @@ def record_contents(benchmark: Benchmark) -> None:
     """Record what the benchmark consists of and what it leaves out, unless that is recorded already."""
     contents = BenchRecord.here(
         bench="benchmark",
-        title="What was run",
+        title=f"Preset {benchmark.name}",
         command=f"xfreqbench benchmark --preset {benchmark.name}",
         note=f"Preset {benchmark.name}: {benchmark.preset.description}. Left out: {benchmark.preset.left_out}.",
         columns=("scene", "protocol", "splits", "methods", "seeds", "budget", "runs"),

@@ -43,9 +43,9 @@ from xfreqbench.runs.records import BenchRecord, RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
 BEGIN, END = "<!-- xfreqbench report: begin -->", "<!-- xfreqbench report: end -->"
-_WHAT_WAS_RUN, _WHAT_WAS_RUN_TITLE = "benchmark", "What was run"
+_WHAT_WAS_RUN = "benchmark"
 _BENCH_SECTIONS = {
-    _WHAT_WAS_RUN: _WHAT_WAS_RUN_TITLE,
+    _WHAT_WAS_RUN: "What was run",
     "unseen-rooms": "Unseen rooms",
     "generate": "Generator",
     "peers": "Generator",
@@ -256,7 +256,7 @@ def _bench_sections(benches: Sequence[BenchRecord]) -> list[str]:
 def _bench(record: BenchRecord) -> str:
     taken = f"{machine_name(record.hardware)}; commit {short_commit(record.git_commit)}; {record.time_utc[:10]}."
     parts = [
-        f"### {heading(record.title)}" if record.title != _WHAT_WAS_RUN_TITLE else "",
+        f"### {heading(record.title)}",
         "\n".join(f"    {line}" for line in record.command.splitlines()),
         paragraph(record.note, prose),
         table(record.columns, record.rows[:_MOST_ROWS], prose),
