@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -140,3 +143,32 @@ def test_the_hash_of_the_package_covers_every_file_of_it_and_the_built_in_method
     edited.write_text("")
     monkeypatch.setattr(source, "_package_files", lambda: files | {"xfreqbench/baselines/nearest.py": edited})
     assert package_sha256() != before
+
+
+@pytest.fixture
+def watched_garbage() -> Iterator[None]:
+    """Threads change places often, and so is garbage collected, which calls Python code, as in workers of Dask."""
+
+    def watch(phase: str, info: dict[str, int]) -> None:
+        for _ in range(200):
+            pass
+
+    interval, thresholds = sys.getswitchinterval(), gc.get_threshold()
+    sys.setswitchinterval(1e-5)
+    gc.set_threshold(100)
+    gc.callbacks.append(watch)
+    yield
+    gc.callbacks.remove(watch)
+    gc.set_threshold(*thresholds)
+    sys.setswitchinterval(interval)
+
+
+@pytest.mark.usefixtures("watched_garbage")
+def test_threads_read_sources_at_once() -> None:
+    """Python 3.11 raises `SystemError` where two of them parse at the same time."""
+    texts = [path.read_bytes() for path in sorted((ROOT / "xfreqbench" / "runs").glob("*.py"))]
+    with ThreadPoolExecutor(3) as threads:
+        own = [[text + b"# %d" % number for text in texts] for number in range(3)]  # what was parsed is kept
+        parsed = list(threads.map(lambda asked: [len(source._parsed(text).body) for text in asked], own))
+    assert parsed[0] == parsed[1] == parsed[2]
+    assert min(parsed[0]) > 0

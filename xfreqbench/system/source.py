@@ -20,6 +20,7 @@ from functools import cache
 from importlib.machinery import ModuleSpec
 from itertools import accumulate
 from pathlib import Path
+from threading import Lock
 from typing import NamedTuple
 
 PACKAGE = "xfreqbench"
@@ -28,6 +29,7 @@ _BASELINES = f"{PACKAGE}.baselines"  # in an editable install their folder is no
 _LIBRARY_FOLDERS = {"site-packages", "dist-packages"}
 _TYPE_CHECKING = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
 _STANDARD_LIBRARY = tuple(Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib"))
+_parsing = Lock()  # Python 3.11 fails where two threads parse and, as with Dask, garbage collection calls Python
 
 
 class _Import(NamedTuple):
@@ -239,10 +241,11 @@ def _is_idle_statement(node: ast.stmt) -> bool:
 
 @cache
 def _parsed(source: bytes) -> ast.Module:
-    try:
-        return ast.parse(source)
-    except (SyntaxError, ValueError):  # a file that cannot be run either
-        return ast.Module([], [])
+    with _parsing:
+        try:
+            return ast.parse(source)
+        except (SyntaxError, ValueError):  # a file that cannot be run either
+            return ast.Module([], [])
 
 
 def _read(path: Path) -> bytes | None:
