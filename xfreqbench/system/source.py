@@ -266,7 +266,7 @@ def _file(module: str) -> Path | None:
 @cache
 def _spec(module: str, search_path: tuple[str, ...]) -> ModuleSpec | None:
     """What the import system would load for a name; unlike `find_spec`, this imports no parent package."""
-    parent = module.rpartition(".")[0]
+    parent, _, name = module.rpartition(".")
     folders = None
     if parent:
         found = _spec(parent, search_path)
@@ -278,7 +278,7 @@ def _spec(module: str, search_path: tuple[str, ...]) -> ModuleSpec | None:
             spec = finder.find_spec(module, folders) if hasattr(finder, "find_spec") else None
         except KeyError:  # Python describes a folder without `__init__` by the package around it, if that is imported
             spec = ModuleSpec(module, None, is_package=True)
-            spec.submodule_search_locations = [str(Path(folder, module.rpartition(".")[2])) for folder in folders or []]
+            spec.submodule_search_locations = [str(Path(folder, name)) for folder in folders or []]
         if spec:
             return spec
     return None
