@@ -14,12 +14,11 @@ import re
 from pathlib import Path
 
 from xfreqbench.report.leaderboard.columns import BRIEF
-from xfreqbench.report.leaderboard.overview import first_comparison
+from xfreqbench.report.leaderboard.overview import first_comparison, short_ranking
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.paper import ship_maps
 from xfreqbench.report.leaderboard.report import WrittenReport, write_report
 from xfreqbench.report.leaderboard.results import read_results, results_at
-from xfreqbench.report.leaderboard.tables import ranking_table
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = [ROOT / "baselines" / f"{name}_results.jsonl" for name in ("reference", "paper_size", "unseen_rooms")]
@@ -41,7 +40,7 @@ def remake(root: Path, page: Path | None = None) -> WrittenReport:
         if path.name != BY_HAND:
             path.unlink()
     office = next(board for board in found.boards if board.title.startswith("office · lofo · power maps · quick"))
-    shown = ranking_table(first_comparison(office), BRIEF).split("\n\n")
+    shown = short_ranking(first_comparison(office), BRIEF).split("\n\n")
     table = next(part for part in shown if part.startswith("| "))
     readme = root / "README.md"
     readme.write_text(TABLE.sub(lambda _: table, readme.read_text("utf-8")), "utf-8")

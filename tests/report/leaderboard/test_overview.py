@@ -97,10 +97,22 @@ def test_findings_name_the_best_method_and_what_the_papers_idea_adds(tmp_path: P
     records = [record for method, shift in idea for record in stored(method, shift)]
     records += [record for method, shift in idea for record in stored(method, 3 * shift, "aided=false")]
     records += [record for name in NEEDED_TRIVIAL for record in of_three_seeds(name, 0.0, 40)[:1]]
-    write_report(store(tmp_path, *records), tmp_path / "B.md", tmp_path / "all")
-    best, idea_adds = re.findall(r"^\d\. (.*)$", (tmp_path / "B.md").read_text("utf-8"), re.MULTILINE)
+
+    def findings(*records: RunRecord) -> list[str]:
+        write_report(store(tmp_path, *records), tmp_path / "B.md", tmp_path / "all")
+        return re.findall(r"^\d\. (.*)$", (tmp_path / "B.md").read_text("utf-8"), re.MULTILINE)
+
+    best, idea_adds = findings(*records)
     assert "`xfreq-gs` is best" in best and "The next, `fixed-frequency-gs`" in best and "1 of the 1 boards" in best
-    assert re.search(r"by 0\.0\d+ \[0\..*with our aids and by 0\.0.* without them", idea_adds)
+    assert re.search(r"by 0\.0\d+ \[0\..*with our aids and by 0\.0.* without them \(`lofo` at 24.25GHz\)", idea_adds)
+    elsewhere = [
+        with_job(record, split="lofo-1GHz")
+        for method in ("xfreq-gs", "fixed-frequency-gs")
+        for record in stored(method, -0.2)
+    ]
+    assert findings(*records, *elsewhere)[-1] == idea_adds, (
+        "a carrier that those without aids were not run on counts for none"
+    )
 
 
 def test_what_got_worse_since_earlier_results_is_told_with_what_is_different(tmp_path: Path) -> None:

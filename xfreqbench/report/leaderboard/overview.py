@@ -163,8 +163,11 @@ def _elsewhere(comparison: Comparison | None, where: str) -> Iterator[str]:
 
 
 def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
-    """What carrier-conditioned attributes add, with and without the aids that the paper does not have."""
-    said: dict[str, str] = {}
+    """What carrier-conditioned attributes add, with and without the aids that the paper does not have.
+
+    Both are said of the splits that all four rows were run on.
+    """
+    compared: dict[str, tuple[Board, BoardRow, BoardRow]] = {}
     for words, pairs in (
         (
             "with our aids",
@@ -176,19 +179,30 @@ def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
             rows = {row.short_label: row for row in board.rows}
             pair = next((pair for pair in pairs if set(pair) <= rows.keys()), None)
             if board.protocol == "lofo" and pair:
-                said.setdefault(words, _difference(board, rows[pair[0]], rows[pair[1]]))
-    if said:
+                compared.setdefault(words, (board, rows[pair[0]], rows[pair[1]]))
+    splits = _shared_splits([row for _, *pair in compared.values() for row in pair])
+    if splits:
+        said = [f"{_difference(board, splits, *pair)} {words}" for words, (board, *pair) in compared.items()]
         yield (
             "The paper's own idea, attributes that follow the carrier, changes the median SSIM of a fixed-frequency "
-            f"Gaussian field by {' and by '.join(f'{value} {words}' for words, value in said.items())} (`lofo`)."
+            f"Gaussian field by {' and by '.join(said)} ({_on(splits)})."
         )
 
 
-def _difference(board: Board, row: BoardRow, other: BoardRow) -> str:
-    """How much higher the average median SSIM of a row is than another's, on the splits of both."""
-    comparison = Comparison.of(board, row, other)
-    value = row.average(comparison.splits, median_ssim) - other.average(comparison.splits, median_ssim)
-    return with_interval(value, comparison.paired_difference(row, other), 4)
+def _shared_splits(rows: Sequence[BoardRow]) -> tuple[str, ...]:
+    """The splits that all rows were run on, in the order of the first."""
+    return tuple(split for row in rows[:1] for split in row.by_split if all(split in each.by_split for each in rows))
+
+
+def _on(splits: Sequence[str]) -> str:
+    """The splits of `lofo` in words."""
+    return f"`lofo` at {', '.join(map(short_name, splits))}"
+
+
+def _difference(board: Board, splits: tuple[str, ...], row: BoardRow, other: BoardRow) -> str:
+    """How much higher the average median SSIM of a row is than another's."""
+    value = row.average(splits, median_ssim) - other.average(splits, median_ssim)
+    return with_interval(value, Comparison(board, splits).paired_difference(row, other), 4)
 
 
 def _as_it_is(of_scene: Sequence[Board]) -> Iterator[str]:
@@ -199,11 +213,11 @@ def _as_it_is(of_scene: Sequence[Board]) -> Iterator[str]:
     ]
     with_aids = [(board, row) for board, row in rows if row.short_label in ("xfreq-gs", "xfreq-gs (aided=true)")]
     for (board, plain), (other, aided) in product(as_published, with_aids):
-        splits = tuple(split for split in plain.by_split if split in aided.by_split)
+        splits = _shared_splits((plain, aided))
         if splits and board.data == other.data:
             yield (
                 "With nothing that the paper does not have (`xfreq-gs-paper`) its method reaches a median SSIM of "
-                f"{_reached(board, plain, splits)} on `lofo`; with our aids (`xfreq-gs`) "
+                f"{_reached(board, plain, splits)} on {_on(splits)}; with our aids (`xfreq-gs`) "
                 f"{_reached(other, aided, splits)}."
             )
             return
@@ -224,8 +238,13 @@ def _main_board(compared: Sequence[Comparison], pages: Mapping[str, str], scene:
     board = comparison.board
     title = heading(" · ".join(filter(None, (board.scene, board.protocol, board.lane_title))))
     more = f"**{leak_statement(board)}** [The other boards]({pages[scene]})"
-    columns = [name for name in OVERVIEW if name != "splits" or len(comparison.splits) <= _MOST_SPLITS]
-    return [f"## {title}\n\n{more}\n\n{ranking_table(comparison, columns)}"]
+    return [f"## {title}\n\n{more}\n\n{short_ranking(comparison, OVERVIEW)}"]
+
+
+def short_ranking(comparison: Comparison, columns: Sequence[str]) -> str:
+    """The ranking with columns by name, without those of the splits where these are many."""
+    shown = [name for name in columns if name != "splits" or len(comparison.splits) <= _MOST_SPLITS]
+    return ranking_table(comparison, shown)
 
 
 def _budget_table(lanes: Sequence[Board]) -> list[str]:
