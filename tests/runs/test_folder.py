@@ -28,14 +28,17 @@ def store_predictions(folder: ResultsFolder, record: RunRecord, split_sha256: st
 
 def test_records_are_read_once_and_again_only_after_a_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     reads = []
-    monkeypatch.setattr(folder_module, "read", lambda path, read=folder_module.read: reads.append(1) or read(path))
+    read = folder_module.read
+    monkeypatch.setattr(folder_module, "read", lambda *given: reads.append(1) or read(*given))
     folder = ResultsFolder(tmp_path)
     assert folder.records == ()
     folder.append(make_record("nearest"))
     assert [record.job.method for record in (*folder.records, *folder.records)] == ["nearest"] * 2
     assert len(reads) == 1
+    (nearest,) = folder.records
     append(folder.records_path, make_record("line-of-sight"))  # as another process does
     assert [record.job.method for record in folder.records] == ["nearest", "line-of-sight"]
+    assert folder.records[0] is nearest, "what was read before is not parsed again"
     assert len(reads) == 2
 
 

@@ -177,6 +177,20 @@ def test_a_record_that_was_changed_afterwards_is_refused(tmp_path: Path, record:
         read(path)
 
 
+def test_of_a_file_that_has_grown_only_new_lines_are_parsed(tmp_path: Path) -> None:
+    path = tmp_path / "records.jsonl"
+    append(path, make_record("nearest"))
+    append(path, make_bench())
+    before = read(path)
+    append(path, make_record("k-nearest"))
+    after = read(path, before)
+    assert after == read(path) and len(after.records) == 2
+    assert after.records[0] is before.records[0] and after.benches[0] is before.benches[0]
+    path.write_text(path.read_text().replace("2026-01-01", "2026-01-02", 1))
+    with pytest.raises(DataError, match=r"line 1, .*it was changed after it was written"):
+        read(path, after)
+
+
 def test_the_hash_of_a_record_does_not_depend_on_how_its_json_is_spaced(tmp_path: Path) -> None:
     path = tmp_path / "records.jsonl"
     infinite = make_record(scores={"psnr": make_summary(math.inf)}, findings={"size": 1e-7, "µ": [1, None]})

@@ -35,8 +35,8 @@ _PREDICTIONS, _CHECKPOINTS, _METHODS = "predictions", "checkpoints", "methods"
 class ResultsFolder:
     """Records of runs with their predictions and checkpoints, in one folder.
 
-    `records_path` is the file of records. The file is read when something of it is first asked for, and again
-    only after it has changed.
+    `records_path` is the file of records. The file is read when something of it is first asked for, and what is new
+    in it after it has changed.
     """
 
     def __init__(self, path: Path, records_name: str = RECORDS_NAME) -> None:
@@ -55,7 +55,7 @@ class ResultsFolder:
         """Everything that the file of records holds; raises `DataError`."""
         now = self._file_state()
         if now != self._read_at:
-            self._stored, self._read_at = read(self.records_path), now
+            self._stored, self._read_at = read(self.records_path, self._stored), now
         return self._stored
 
     @property

@@ -370,11 +370,15 @@ class BenchRecord(SealedModel):
 
 @dataclass(frozen=True)
 class StoredRecords:
-    """What a file of records holds: runs and tables. `num_truncated` is 1 if its last line is cut off."""
+    """What a file of records holds: runs and tables, and each by its line in `by_line`.
+
+    `num_truncated` is 1 if its last line is cut off.
+    """
 
     records: tuple[RunRecord, ...]
     benches: tuple[BenchRecord, ...] = ()
     num_truncated: int = 0
+    by_line: Mapping[bytes, RunRecord | BenchRecord] = field(default_factory=dict, repr=False, compare=False)
 
 
 def curve_positions(split_sha256: str, num_test: int) -> Int[NDArray[np.int64], "n"]:
@@ -400,23 +404,25 @@ def append(path: Path, record: RunRecord | BenchRecord) -> None:
             os.close(descriptor)
 
 
-def read(path: Path) -> StoredRecords:
+def read(path: Path, known: StoredRecords | None = None) -> StoredRecords:
     """The records of a file, in the order in which they were written; none if there is no such file.
 
-    A last line without an end, as a killed run leaves it, is not read, but counted. Raises `DataError` that names
+    A last line without an end, as a killed run leaves it, is not read, but counted. Lines that `known` was read from
+    are not parsed again, so that a file that grows is read in the time of what is new. Raises `DataError` that names
     file and line for a line that is not a record.
     """
     if not path.exists():
         return StoredRecords(())
+    by_line = known.by_line if known else {}
     try:
         *lines, rest = read_bytes(path).split(b"\n")
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror}.") from error
     _require_half_a_record(path, rest)
-    parsed = [_parse(path, number, line) for number, line in enumerate(lines, start=1)]
+    parsed = [by_line.get(line) or _parse(path, number, line) for number, line in enumerate(lines, start=1)]
     runs = tuple(record for record in parsed if isinstance(record, RunRecord))
     benches = tuple(record for record in parsed if isinstance(record, BenchRecord))
-    return StoredRecords(runs, benches, num_truncated=int(bool(rest)))
+    return StoredRecords(runs, benches, int(bool(rest)), dict(zip(lines, parsed, strict=True)))
 
 
 def _require_half_a_record(path: Path, rest: bytes) -> None:
