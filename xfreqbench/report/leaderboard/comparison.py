@@ -57,9 +57,9 @@ class Comparison:
     splits: tuple[str, ...]
 
     @classmethod
-    def of(cls, board: Board, row: BoardRow, other: BoardRow) -> Comparison:
-        """The comparison on the splits that both rows were run on."""
-        return cls(board, tuple(split for split in board.splits if split in row.by_split and split in other.by_split))
+    def of(cls, board: Board, *rows: BoardRow) -> Comparison:
+        """The comparison on the splits that all the rows were run on."""
+        return cls(board, tuple(split for split in board.splits if all(split in row.by_split for row in rows)))
 
     @cached_property
     def rows(self) -> list[BoardRow]:

@@ -180,18 +180,14 @@ def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
             pair = next((pair for pair in pairs if set(pair) <= rows.keys()), None)
             if board.protocol == "lofo" and pair:
                 compared.setdefault(words, (board, rows[pair[0]], rows[pair[1]]))
-    splits = _shared_splits([row for _, *pair in compared.values() for row in pair])
-    if splits:
-        said = [f"{_difference(board, splits, *pair)} {words}" for words, (board, *pair) in compared.items()]
+    every = [row for _, *pair in compared.values() for row in pair]
+    shared = [(words, Comparison.of(board, *every), row, other) for words, (board, row, other) in compared.items()]
+    if shared and (splits := shared[0][1].splits):
+        said = [f"{_difference(comparison, row, other)} {words}" for words, comparison, row, other in shared]
         yield (
             "The paper's own idea, attributes that follow the carrier, changes the median SSIM of a fixed-frequency "
             f"Gaussian field by {' and by '.join(said)} ({_on(splits)})."
         )
-
-
-def _shared_splits(rows: Sequence[BoardRow]) -> tuple[str, ...]:
-    """The splits that all rows were run on, in the order of the first."""
-    return tuple(split for row in rows[:1] for split in row.by_split if all(split in each.by_split for each in rows))
 
 
 def _on(splits: Sequence[str]) -> str:
@@ -199,10 +195,10 @@ def _on(splits: Sequence[str]) -> str:
     return f"`lofo` at {', '.join(map(short_name, splits))}"
 
 
-def _difference(board: Board, splits: tuple[str, ...], row: BoardRow, other: BoardRow) -> str:
+def _difference(comparison: Comparison, row: BoardRow, other: BoardRow) -> str:
     """How much higher the average median SSIM of a row is than another's."""
-    value = row.average(splits, median_ssim) - other.average(splits, median_ssim)
-    return with_interval(value, Comparison(board, splits).paired_difference(row, other), 4)
+    value = row.average(comparison.splits, median_ssim) - other.average(comparison.splits, median_ssim)
+    return with_interval(value, comparison.paired_difference(row, other), 4)
 
 
 def _as_it_is(of_scene: Sequence[Board]) -> Iterator[str]:
@@ -213,7 +209,7 @@ def _as_it_is(of_scene: Sequence[Board]) -> Iterator[str]:
     ]
     with_aids = [(board, row) for board, row in rows if row.short_label in ("xfreq-gs", "xfreq-gs (aided=true)")]
     for (board, plain), (other, aided) in product(as_published, with_aids):
-        splits = _shared_splits((plain, aided))
+        splits = Comparison.of(board, plain, aided).splits
         if splits and board.data == other.data:
             yield (
                 "With nothing that the paper does not have (`xfreq-gs-paper`) its method reaches a median SSIM of "
