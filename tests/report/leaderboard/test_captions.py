@@ -4,10 +4,13 @@ import pytest
 
 from tests.support.leaderboard_records import leaderboard_markdown, make_records, rows_of
 from tests.support.stored_records import external, make_record
+from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
+from xfreqbench.runs.records import Job
 
 UNSEEN = make_record(shares_transmitters=False, nearest_trained_m=0.2)
 FARTHER = make_record(split="lofo-77GHz", shares_transmitters=False, nearest_trained_m=0.3)
+HERE, THERE = {"processor": "AMD EPYC", "cores": "2"}, {"processor": "AMD EPYC", "cores": "2", "gpu": "H100"}
 LOW = [make_record(method, trained_band_hz=(1e9, 10e9)) for method in ("nearest", "ours")]
 
 
@@ -33,6 +36,28 @@ def test_the_legend_names_window_floor_and_trivial_predictors() -> None:
 )
 def test_a_report_says_what_a_number_is_of_and_what_is_missing(records: list, words: str) -> None:
     assert words in leaderboard_markdown(records)
+
+
+def test_fits_that_had_their_seconds_on_another_machine_are_not_ranked_and_named() -> None:
+    """A budget in maps is worth the same on every machine."""
+
+    def ranks(budget: Budget) -> tuple[dict[str, str], str]:
+        fits = [
+            make_record(name, ssim, job=job, id=f"{name}{seed}", hardware=hardware, ssim_by_tx=[(ssim,)] * 4)
+            for name, ssim, hardware in (("one", 0.7, HERE), ("other", 0.8, HERE), ("faster", 0.9, THERE))
+            for seed in range(3)
+            for job in [Job("data.h5", name, "lofo", "lofo-24.25GHz", seed=seed, budget=budget)]
+        ]
+        markdown = leaderboard_markdown(fits)
+        return {name: rows_of(markdown, name)[0]["rank"] for name in ("one", "other", "faster")}, markdown
+
+    of_time, markdown = ranks(Budget(max_seconds=60.0))
+    assert of_time == {"one": "2", "other": "1", "faster": "–"}
+    assert "as most fits had their seconds on AMD EPYC, 2 cores, and seconds of another machine" in markdown
+    assert "hold more or fewer steps: faster." in markdown
+    of_maps, markdown = ranks(Budget(max_maps=100))
+    assert of_maps == {"one": "3", "other": "2", "faster": "1"}
+    assert "hold more or fewer steps" not in markdown
 
 
 def test_nothing_is_said_that_is_not_so() -> None:

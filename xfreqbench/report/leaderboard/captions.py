@@ -27,7 +27,7 @@ _LEADERBOARD_TERMS = {
     "resamples, and as 0 where these do not suffice",
     "rank": "the best and the worst place that the intervals of the differences allow, in a table that is sorted by "
     f"averages; not corrected for the number of comparisons. A dash: fewer than {MIN_SEEDS} seeds, so no rank (a "
-    "trivial predictor needs no seed)",
+    "trivial predictor needs no seed), or a budget in seconds on another machine than most",
 }
 _OTHER_TERMS = {
     "seeds**, **± seeds": "fits of each split, over which every number is a mean, and the standard deviation of the "
@@ -139,13 +139,19 @@ def _counted(name: str, values: Sequence[object]) -> str:
 
 
 def _unranked_note(comparison: Comparison) -> str:
-    """Which rows have too few seeds for a rank; empty where none has."""
+    """Which rows have no rank, as seeds are too few or their seconds those of another machine; empty where none is."""
     few = [
         row.short_label
         for row in comparison.rows
         if not row.is_trivial and row.num_seeds(comparison.splits)[0] < MIN_SEEDS
     ]
-    return f"Without a rank, which takes {MIN_SEEDS} seeds (--seeds 0,1,2): {', '.join(few)}." if few else ""
+    elsewhere = [row.short_label for row in comparison.rows if not comparison.is_timed_alike(row)]
+    seeds = f"Without a rank, which takes {MIN_SEEDS} seeds (--seeds 0,1,2): {', '.join(few)}." if few else ""
+    machine = (
+        f"Without a rank, as most fits had their seconds on {comparison.timed_on}, and seconds of another machine "
+        f"hold more or fewer steps: {', '.join(elsewhere)}."
+    )
+    return " ".join(filter(None, [seeds, machine if elsewhere else ""]))
 
 
 def _skill_note(comparison: Comparison) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -72,9 +73,23 @@ class Comparison:
         return [row for row in self.rows if self.is_ranked(row)]
 
     def is_ranked(self, row: BoardRow) -> bool:
+        """Whether a row has samples stored, seeds enough, and the machine of others where its budget is a time."""
+        return self.has_enough_seeds(row) and self.is_timed_alike(row)
+
+    def has_enough_seeds(self, row: BoardRow) -> bool:
         """Whether a row has its samples stored and at least `MIN_SEEDS` seeds; a trivial predictor needs one seed."""
         needed = 1 if row.is_trivial else MIN_SEEDS
         return self._has_samples(row) and row.num_seeds(self.splits)[0] >= needed
+
+    @cached_property
+    def timed_on(self) -> str:
+        """The machine of most of the fits whose budget is a time; empty where there is no such fit."""
+        machines = Counter(machine for row in self.rows for machine in row.timed_on)
+        return machines.most_common(1)[0][0] if machines else ""
+
+    def is_timed_alike(self, row: BoardRow) -> bool:
+        """Whether no fit of a row had its budget in seconds of another machine than most, which does more or less."""
+        return set(row.timed_on) <= {self.timed_on}
 
     def difference(self, row: BoardRow, other: BoardRow) -> Interval:
         """Interval of a row's average median SSIM minus another's; nan where one of the two is not ranked."""

@@ -13,7 +13,7 @@ from statistics import mean, stdev
 
 from xfreqbench.methods.contract import LANES, Budget
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
-from xfreqbench.report.leaderboard.origins import short_commit
+from xfreqbench.report.leaderboard.origins import machine_name, short_commit
 from xfreqbench.runs.records import Job, RunRecord
 from xfreqbench.types import FloatArray
 
@@ -44,6 +44,12 @@ class BoardRow:
     def budget(self) -> str:
         """The most that a fit may take, such as `≤ 300 s`; empty without a limit and for trivial predictors."""
         return lane_of(self.records[0])
+
+    @property
+    def timed_on(self) -> list[str]:
+        """The machine of every fit whose budget is a time."""
+        timed = [record for record in self.records if lane_of(record) and record.job.budget.max_seconds is not None]
+        return [machine_name(record.hardware) for record in timed]
 
     @property
     def short_label(self) -> str:

@@ -209,7 +209,7 @@ def _notes(a: Board, b: Board, pairs: Sequence[RowPair]) -> list[str]:
     few = [
         pair.label
         for pair in pairs
-        if not isnan(pair.interval[0]) and not all(map(pair.comparison.is_ranked, (pair.a, pair.b)))
+        if not isnan(pair.interval[0]) and not all(map(pair.comparison.has_enough_seeds, (pair.a, pair.b)))
     ]
     shown = {row.label for pair in pairs for row in (pair.a, pair.b)}
     alone = {
