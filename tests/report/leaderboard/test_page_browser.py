@@ -179,6 +179,28 @@ def test_a_page_of_real_boards_opens_at_its_top_and_tells_what_competes(browser,
         assert page.locator("#off-scale").inner_text() == "" and page.locator("#cdfs .curve").count() == 1
 
 
+@pytest.mark.parametrize("device", ["desktop", "phone"])
+def test_no_name_is_nearer_to_another_mark_unless_a_line_leads_to_its_own(browser, tmp_path: Path, device: str) -> None:
+    crowd = {"line-of-sight": (0.868, 0.01), "frequency-embedded-gs": (0.8605, 5.3), "fixed-frequency-gs": (0.858, 5.3)}
+    for method, (ssim, seconds) in {**crowd, "xfreq-gs": (0.8625, 7), "ours": (0.906, 14)}.items():
+        store(tmp_path, make_record(method, ssim, id=method, fit_seconds=seconds))
+    script = """names => names.map(name => {
+      const boxOf = part => part.getBoundingClientRect();
+      const middles = [...document.querySelectorAll("#pareto .point")].map(mark => [mark.dataset.row, boxOf(mark)])
+        .map(([row, box]) => [row, (box.left + box.right) / 2, (box.top + box.bottom) / 2]);
+      const box = boxOf(name), beyond = (at, low, high) => Math.max(low - at, at - high, 0);
+      const gap = ([row, x, y]) => Math.hypot(beyond(x, box.left, box.right), beyond(y, box.top, box.bottom));
+      const least = Math.min(...middles.filter(([row]) => row !== name.dataset.row).map(gap));
+      const isLed = name.previousElementSibling.classList.contains("leader");
+      return [name.dataset.row, isLed, least - gap(middles.find(([row]) => row === name.dataset.row))];
+    })"""
+    with opened(browser, write_page(tmp_path, tmp_path / "page.html")) as page:
+        set_screen(page, device, "light")
+        names = page.locator("#pareto text[data-row]").evaluate_all(script)
+    assert len(names) == 5
+    assert {name for name, is_led, ahead_px in names if not is_led and ahead_px < -1} == set()
+
+
 def test_on_paper_and_without_a_script_every_board_has_its_whole_table_and_no_controls(
     browser, page, file: Path
 ) -> None:

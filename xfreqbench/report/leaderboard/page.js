@@ -253,7 +253,8 @@ function drawPareto(host) {
   if (near.length) drawFront(plot, near, place);
   const taken = points.map((point) => around(plot.x(place(point)), plot.y(point.height)));
   for (const point of points) plot.svg.append(pointOf(plot, point, place(point)));
-  for (const point of points) nameBeside(plot, point, place(point), taken);
+  const marks = [...taken];
+  for (const [nth, point] of points.entries()) nameBeside(plot, point, marks[nth], marks, taken);
 }
 
 function drawFront(plot, points, place) {
@@ -291,22 +292,28 @@ function summary(row) {
 const around = (x, y) => ({ left: x - 6, right: x + 6, top: y - 6, bottom: y + 6 });
 const overlap = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
 
-// A name goes to the first free place near its point, farther ones with a line to it; where there is none, it
-// stays away and the tip says it.
-function nameBeside(plot, point, at, taken) {
-  const [x, y] = [plot.x(at), plot.y(point.height)];
+const gap = (a, b) =>
+  Math.hypot(Math.max(a.left - b.right, b.left - a.right, 0), Math.max(a.top - b.bottom, b.top - a.bottom, 0));
+
+// A name goes to the first free place near its mark that no other mark is nearer to, or else to the first free one.
+// What is far off, or nearer to another mark, has a line to its own. Where no place is free, the tip alone says it.
+function nameBeside(plot, point, own, marks, taken) {
+  const [x, y] = [(own.left + own.right) / 2, (own.top + own.bottom) / 2];
   const text = label(0, 0, point.height > point.ssim ? `${point.name} ↓ ${point.ssim.toFixed(3)}` : point.name);
   plot.svg.append(text);
   const width = text.getComputedTextLength();
-  for (const [dx, dy] of [4, -8, 16, -20, 28, -32, 40].flatMap((dy) => [[9, dy], [-9 - width, dy], [-width / 2, dy]])) {
-    const box = { left: x + dx, right: x + dx + width, top: y + dy - 9, bottom: y + dy + 2 };
-    const inside = box.left >= plot.box.left && box.right <= plot.box.right && box.top >= 0 && box.bottom <= plot.box.bottom;
-    if (!inside || taken.some((other) => overlap(box, other))) continue;
-    taken.push(box);
-    if (Math.abs(dy) > 16) text.before(line(x, y, dx < 0 ? box.right : box.left, y + dy - 4, "leader"));
-    return filled(text, { x: box.left, y: y + dy, "data-row": point.name }, []);
-  }
-  text.remove();
+  const free = [4, -8, 16, -20, 28, -32, 40].flatMap((dy) => [[9, dy], [-9 - width, dy], [-width / 2, dy]])
+    .map(([dx, dy]) => ({ left: x + dx, right: x + dx + width, top: y + dy - 9, bottom: y + dy + 2 }))
+    .filter((box) => box.left >= plot.box.left && box.right <= plot.box.right && box.top >= 0)
+    .filter((box) => box.bottom <= plot.box.bottom && !taken.some((other) => overlap(box, other)));
+  const isClear = (box) => marks.every((mark) => mark === own || gap(box, own) < gap(box, mark));
+  const box = free.find(isClear) ?? free[0];
+  if (!box) return text.remove();
+  taken.push(box);
+  const within = (at, low, high) => Math.min(Math.max(at, low), high);
+  if (!isClear(box) || gap(box, own) > 8)
+    text.before(line(x, y, within(x, box.left, box.right), within(y, box.top, box.bottom), "leader"));
+  filled(text, { x: box.left, y: box.bottom - 2, "data-row": point.name }, []);
 }
 
 function drawCurves(host) {
