@@ -337,6 +337,17 @@ def test_a_process_pinned_to_one_core_has_one() -> None:
         os.sched_setaffinity(0, cores)
 
 
+@pytest.mark.parametrize(("name", "asked", "told"), [("OMP_NUM_THREADS", "1", "1"), ("NUMBA_NUM_THREADS", "64", None)])
+def test_fewer_threads_than_cores_are_told(
+    name: str, asked: str, told: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    for each in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        monkeypatch.delenv(each, raising=False)
+    monkeypatch.setenv(name, asked)
+    assert machine.hardware.__wrapped__().get("threads") == told
+
+
 def test_software_that_is_not_installed_has_no_version(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "_LIBRARIES", ("numpy", "no-such-library"))
     machine.software.cache_clear()

@@ -22,6 +22,7 @@ _MEMORY = Path("/proc/meminfo")
 _GPUS = Path("/proc/driver/nvidia/gpus")
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 _THREADS, _MOST_THREADS = "NUMBA_NUM_THREADS", 1024  # with many more the system refuses to start them
+_THREADS_OF_LIBRARIES = ("OMP_NUM_THREADS", _THREADS)
 _SAFE_PATH = "PYTHONSAFEPATH"
 _STARTING, _num_starting = threading.Lock(), 0
 _safe_path_before: str | None = None
@@ -116,14 +117,19 @@ def available_memory_mib() -> float:
 
 @cache
 def hardware() -> dict[str, str]:
-    """Processor, number of cores that this process may use, operating system, and NVIDIA GPUs if there are any."""
+    """Processor, number of cores that this process may use, operating system, and NVIDIA GPUs if there are any.
+
+    Where the environment asks libraries for fewer threads than there are cores, there is their number too.
+    """
     # on Linux; `taskset` keeps a process from some of the cores
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count()
     system = f"{platform.system()} {platform.machine()}"
     gpus = [name for path in sorted(_GPUS.glob("*/information")) for name in _stated(path, "Model:")]
     known = {"processor": _processor(), "cores": str(cores), "system": system}
-    return known | ({"gpu": " + ".join(gpus)} if gpus else {})
+    asked = [int(text) for name in _THREADS_OF_LIBRARIES if (text := os.environ.get(name, "")).isdecimal()]
+    limited = {"threads": str(min(asked))} if asked and 0 < min(asked) < (cores or 1) else {}
+    return known | limited | ({"gpu": " + ".join(gpus)} if gpus else {})
 
 
 def _stated(path: Path, name: str) -> list[str]:

@@ -15,6 +15,7 @@ from xfreqbench.errors import DataError
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.origins import machine_name
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.report.leaderboard.side_by_side import compare_results
 from xfreqbench.runs.benchmark import Benchmark, plan_benchmark
@@ -35,6 +36,12 @@ def ours(method="ours", ssim=0.9, split=SPLITS[0], **changes):
 
 def theirs(method="ours", ssim=0.8, split=SPLITS[0], **changes):
     return ours(method, ssim, split, **{**OTHER, **changes})
+
+
+def test_a_machine_that_used_fewer_threads_than_it_has_cores_says_so() -> None:
+    here = {"processor": "AMD EPYC", "cores": "2", "system": "Linux x86_64"}
+    assert machine_name(here) == "AMD EPYC, 2 cores, Linux x86_64"
+    assert machine_name({**here, "threads": "1"}) == "AMD EPYC, 2 cores, Linux x86_64, 1 thread"
 
 
 def test_data_of_one_recipe_are_one_board_whatever_their_bytes() -> None:

@@ -37,11 +37,13 @@ class Origin(NamedTuple):
 
 
 def machine_name(hardware: Mapping[str, str]) -> str:
-    """A machine in one line: its processor, cores, system and GPUs."""
-    parts = dict(hardware)
-    if "cores" in parts:
-        parts["cores"] += " core" if parts["cores"] == "1" else " cores"
-    return ", ".join(parts.values())
+    """A machine in one line: its processor, cores, system, threads where they are fewer, and GPUs."""
+    counted = {"cores", "threads"}
+    return ", ".join(_plural(value, name) if name in counted else value for name, value in hardware.items())
+
+
+def _plural(number: str, name: str) -> str:
+    return f"{number} {name.removesuffix('s') if number == '1' else name}"
 
 
 def short_commit(commit: str | None) -> str:
