@@ -28,7 +28,7 @@ from xfreqbench.methods.splatting.composite import composite
 from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance
 from xfreqbench.methods.splatting.projection import project
 
-device, support, batch = sys.argv[1], 9.0, 3
+device, support, batch, sets = sys.argv[1], 9.0, 3, int(sys.argv[2])
 on_device.MAX_LANES, on_device.STRETCH, on_device.LISTED_AT_ONCE = 2, 4, 8  # several of each
 grid = AngularGrid(np.radians(np.arange(0, 90, 18.0)), np.radians(np.arange(-180, 180, 36.0)))
 torch.manual_seed(0)
@@ -38,19 +38,22 @@ axes = 0.3 * torch.randn(12, 3, 3)
 phase_rad, loss = torch.randn(12, batch), torch.rand(12, batch)
 inputs = position_m, axes @ axes.mT + 1e-3 * torch.eye(3), 0.5 + torch.rand(12, batch), \\
     torch.randn(12, batch, dtype=torch.complex64), torch.polar(loss, phase_rad)
-weight = torch.randn(batch, grid.shape[0] * grid.shape[1], dtype=torch.complex64)
+weight = torch.randn(sets * batch, grid.shape[0] * grid.shape[1], dtype=torch.complex64)
 
 def answer(double):
     kinds = {False: (torch.float32, torch.complex64), True: (torch.float64, torch.complex128)}[double]
     given = [each.detach().to("cpu" if double else device, kinds[each.is_complex()]) for each in inputs]
     given = [each.requires_grad_() for each in given]
-    projection = project(given[0], given[1])
     if double:
-        lists = bin_footprints(projection, grid, support)
-        field = composite(lists, squared_distance(projection, lists, grid), *given[2:])
+        fields = []
+        for position_m, covariance, *rest in zip(*(each.chunk(sets) for each in given), strict=True):
+            projection = project(position_m, covariance)
+            lists = bin_footprints(projection, grid, support)
+            fields.append(composite(lists, squared_distance(projection, lists, grid), *rest))
+        field = torch.cat(fields)
     else:
         angles = [torch.from_numpy(each).float().to(device) for each in (grid.azimuth_rad, grid.elevation_rad)]
-        field = on_device.composite_on_cuda(projection, *angles, support, *given[2:])
+        field = on_device.composite_on_cuda(project(given[0], given[1]), *angles, support, *given[2:], sets)
     (field * weight.to(field).conj()).real.sum().backward()
     return [field.detach(), *(each.grad for each in given)]
 
@@ -61,10 +64,12 @@ for got, right in zip(answer(False), answer(True), strict=True):
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=[pytest.mark.gpu, on_a_device])])
-def test_tiles_of_directions_give_field_and_gradients_of_lists_in_double_precision(device: str) -> None:
+@pytest.mark.parametrize("sets", [1, 3], ids=["one", "several"])
+def test_tiles_of_directions_give_field_and_gradients_of_lists_in_double_precision(device: str, sets: int) -> None:
+    """Of one set of Gaussians, and of several, each with its own samples."""
     pytest.importorskip("triton", reason=TRITON)
     interpreted = {"TRITON_INTERPRET": "1"} if device == "cpu" else {}
-    command = [sys.executable, "-c", SAME, device]
+    command = [sys.executable, "-c", SAME, device, str(sets)]
     result = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **interpreted})
     assert result.returncode == 0, result.stderr
     errors = [float(line) for line in result.stdout.split()]
@@ -78,10 +83,13 @@ def test_a_step_on_a_device_waits_for_no_value_and_mixes_no_devices(
     """Tensors of the device `meta` have no values: whatever asks for one, or for a tensor of the host, fails."""
     triton = pytest.importorskip("xfreqbench.methods.splatting.composite_triton", reason=TRITON)
 
-    def field_of(projection: Projection, azimuth: torch.Tensor, elevation: torch.Tensor, *rest: object) -> torch.Tensor:
+    def field_of(
+        projection: Projection, azimuth: torch.Tensor, elevation: torch.Tensor, *rest: object, num_sets: int = 1
+    ) -> torch.Tensor:
         _, spread, signal, attenuation = rest
         each = projection.azimuth_rad[:, None] + projection.covariance.sum() + spread * signal * attenuation
-        return each.sum(0)[:, None].expand(-1, len(azimuth) * len(elevation))
+        of_samples = each.unflatten(0, (num_sets, -1)).sum(1).flatten()
+        return of_samples[:, None].expand(-1, len(azimuth) * len(elevation))
 
     monkeypatch.setattr(triton, "composite_on_cuda", field_of)
     small: dict[str, Any] = {"num_gaussians": 9, "max_gaussians": 9, "width": 4, "batch_size": 3, "ssim_window": 3}

@@ -29,8 +29,7 @@ def composite_maps(
     """R_k = Σ_i G_i S_i Π_{m<i} (1 − o_m G_m) of B maps, float32: Eq. (11) where all is real.
 
     `gaussians` are positions, quaternions and log-scales, as `project_gaussians` takes them, of each map. A footprint
-    ends where the squared Mahalanobis distance is `support`. A CPU does it all in compiled kernels, a device one map
-    after another.
+    ends where the squared Mahalanobis distance is `support`. Compiled kernels do it all, on a CPU and on a device.
     """
     if signal.device.type == "cpu":
         field: Tensor = _Kernels.apply(gaussians, signal, opacity, grid, support)  # type: ignore[no-untyped-call]
@@ -39,19 +38,17 @@ def composite_maps(
 
     axes = grid.azimuth_rad, grid.elevation_rad
     azimuth_rad, elevation_rad = (torch.as_tensor(axis).float().to(signal.device) for axis in axes)
-    fields = [
-        composite_on_cuda(
-            project_gaussians(of_map),
-            azimuth_rad,
-            elevation_rad,
-            support,
-            torch.ones_like(s)[:, None],
-            s[:, None].to(torch.complex64),
-            (1 - o)[:, None].to(torch.complex64),
-        )
-        for of_map, s, o in zip(gaussians, signal, opacity, strict=True)
-    ]
-    return torch.cat(fields).real
+    each = opacity.flatten()[:, None]
+    return composite_on_cuda(
+        project_gaussians(gaussians.flatten(0, 1)),
+        azimuth_rad,
+        elevation_rad,
+        support,
+        torch.ones_like(each),
+        signal.flatten()[:, None].to(torch.complex64),
+        (1 - each).to(torch.complex64),
+        num_sets=len(signal),
+    ).real
 
 
 class _Kernels(torch.autograd.Function):

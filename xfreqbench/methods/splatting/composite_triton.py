@@ -40,15 +40,19 @@ def composite_on_cuda(
     azimuth_rad: Float[Tensor, "A"],
     elevation_rad: Float[Tensor, "E"],
     support: float,
-    inverse_spread: Float[Tensor, "N B"],
-    signal: Complex[Tensor, "N B"],
-    attenuation: Complex[Tensor, "N B"],
-) -> Complex[Tensor, "B K"]:
+    inverse_spread: Float[Tensor, "MN B"],
+    signal: Complex[Tensor, "MN B"],
+    attenuation: Complex[Tensor, "MN B"],
+    num_sets: int = 1,
+) -> Complex[Tensor, "MB K"]:
     """R_k of all K = E A directions, row by row: as `composite` of the footprints of N Gaussians, float32.
 
-    A footprint ends where the squared Mahalanobis distance, before the frequency's spread λ, is `support`.
+    A footprint ends where the squared Mahalanobis distance, before the frequency's spread λ, is `support`. Of
+    M = `num_sets` of Gaussians each has N of them and B samples of its own, one set after another.
     """
-    order = projection.range_m.detach().argsort(stable=True)
+    ranges_m = projection.range_m.detach().unflatten(0, (num_sets, -1))
+    first = torch.arange(0, ranges_m.numel(), ranges_m.shape[1], device=ranges_m.device)
+    order = (ranges_m.argsort(dim=1, stable=True) + first[:, None]).flatten()
     centre = torch.stack([projection.azimuth_rad, projection.elevation_rad], dim=-1)
     reach = (support * projection.covariance.detach().diagonal(dim1=-2, dim2=-1)).sqrt() + _SLACK_RAD
     boxes = torch.cat([centre.detach(), reach], dim=-1)[order].contiguous()
@@ -56,13 +60,13 @@ def composite_on_cuda(
     absorption = 1 - attenuation
     rows = torch.stack([inverse_spread, signal.real, signal.imag, absorption.real, absorption.imag], dim=1)
     field = _Composite.apply(
-        geometry.contiguous(), rows.contiguous(), boxes, order, azimuth_rad, elevation_rad, support
+        geometry.contiguous(), rows.contiguous(), boxes, order, azimuth_rad, elevation_rad, support, num_sets
     )
     return torch.view_as_complex(field)
 
 
 class _Composite(torch.autograd.Function):
-    """The field (B, K, 2) of Gaussians with geometry (N, 5) and rows (N, FIELDS, B).
+    """The field (M·B, K, 2) of Gaussians with geometry (M·N, 5) and rows (M·N, FIELDS, B).
 
     Geometry is azimuth, elevation and three entries of the inverse covariance.
     """
@@ -77,10 +81,11 @@ class _Composite(torch.autograd.Function):
         azimuth_rad: Tensor,
         elevation_rad: Tensor,
         support: float,
+        num_sets: int,
     ) -> Tensor:
-        number, _, batch = rows.shape
+        number, batch = len(rows) // num_sets, rows.shape[2]
         num_rows, num_columns = len(elevation_rad), len(azimuth_rad)
-        tiles = triton.cdiv(num_rows, TILE_ROWS) * triton.cdiv(num_columns, TILE_COLUMNS)
+        tiles = num_sets * triton.cdiv(num_rows, TILE_ROWS) * triton.cdiv(num_columns, TILE_COLUMNS)
         lanes = min(MAX_LANES, triton.next_power_of_2(batch))
         programs = tiles, triton.cdiv(batch, lanes)
         lists, counts = order.new_empty(tiles, number, dtype=torch.int32), order.new_empty(tiles, dtype=torch.int32)
@@ -91,7 +96,7 @@ class _Composite(torch.autograd.Function):
         )  # fmt: skip
         stretches = triton.cdiv(number, STRETCH)
         kept = rows.new_empty(programs[0] * programs[1], stretches, 2, TILE_ROWS * TILE_COLUMNS, lanes)
-        field = rows.new_empty(batch, num_rows * num_columns, 2)
+        field = rows.new_empty(num_sets * batch, num_rows * num_columns, 2)
         sizes = number, batch, num_rows, num_columns, support, *shape, lanes, STRETCH
         _forward_kernel[programs](
             geometry, rows, azimuth_rad, elevation_rad, lists, counts, kept, field, *sizes, num_warps=WARPS
@@ -110,7 +115,7 @@ class _Composite(torch.autograd.Function):
             geometry, rows, azimuth_rad, elevation_rad, lists, counts, kept, scratch, grad_field.contiguous(),
             grad_geometry, grad_rows, *ctx.sizes, num_warps=WARPS,
         )  # fmt: skip
-        return grad_geometry, grad_rows, None, None, None, None, None
+        return grad_geometry, grad_rows, None, None, None, None, None, None
 
 
 @triton.jit
@@ -120,43 +125,52 @@ def _short_way(angle_rad):
 
 
 @triton.jit
+def _place(num_rows, num_columns, ROWS: tl.constexpr, COLUMNS: tl.constexpr):
+    """The set of Gaussians of a program, and the first row and column of its tile."""
+    across = tl.cdiv(num_columns, COLUMNS)
+    tiles = tl.cdiv(num_rows, ROWS) * across
+    tile = tl.program_id(0) % tiles
+    return tl.program_id(0) // tiles, (tile // across) * ROWS, (tile % across) * COLUMNS
+
+
+@triton.jit
 def _list_kernel(
     boxes, order, azimuth_rad, elevation_rad, lists, counts, number, num_rows, num_columns,
     ROWS: tl.constexpr, COLUMNS: tl.constexpr, AT_ONCE: tl.constexpr,
 ):  # fmt: skip
     """The Gaussians whose boxes meet a tile, in the order of `boxes`."""
-    tile = tl.program_id(0)
-    across = tl.cdiv(num_columns, COLUMNS)
-    row, column = (tile // across) * ROWS, (tile % across) * COLUMNS
+    nth_set, row, column = _place(num_rows, num_columns, ROWS, COLUMNS)
+    own = lists + tl.program_id(0).to(tl.int64) * number
     low_u = tl.load(azimuth_rad + column)
     high_u = tl.load(azimuth_rad + tl.minimum(column + COLUMNS, num_columns) - 1)
     low_v = tl.load(elevation_rad + row)
     high_v = tl.load(elevation_rad + tl.minimum(row + ROWS, num_rows) - 1)
     count = 0
     for first in range(0, number, AT_ONCE):
-        nth = first + tl.arange(0, AT_ONCE)
-        box, there = boxes + 4 * nth, nth < number
+        nth = nth_set * number + first + tl.arange(0, AT_ONCE)
+        box, there = boxes + 4 * nth, nth < (nth_set + 1) * number
         off_u = tl.abs(_short_way(tl.load(box, mask=there, other=0.0) - (low_u + high_u) / 2))
         off_v = tl.abs(tl.load(box + 1, mask=there, other=0.0) - (low_v + high_v) / 2)
         meets_u = off_u <= tl.load(box + 2, mask=there, other=0.0) + tl.abs(high_u - low_u) / 2
         meets_v = off_v <= tl.load(box + 3, mask=there, other=0.0) + tl.abs(high_v - low_v) / 2
         hit = (there & meets_u & meets_v).to(tl.int32)
-        place = lists + tile * number + count + tl.cumsum(hit, 0) - 1
-        tl.store(place, tl.load(order + nth, mask=there, other=0).to(tl.int32), mask=hit == 1)
+        tl.store(
+            own + count + tl.cumsum(hit, 0) - 1, tl.load(order + nth, mask=there, other=0).to(tl.int32), mask=hit == 1
+        )
         count += tl.sum(hit, 0)
-    tl.store(counts + tile, count)
+    tl.store(counts + tl.program_id(0), count)
 
 
 @triton.jit
 def _directions(azimuth_rad, elevation_rad, num_rows, num_columns, ROWS: tl.constexpr, COLUMNS: tl.constexpr):
-    """The directions of a program's tile: azimuth, elevation, number, and whether the grid has them."""
-    tile, nth = tl.program_id(0), tl.arange(0, ROWS * COLUMNS)
-    across = tl.cdiv(num_columns, COLUMNS)
-    row, column = (tile // across) * ROWS + nth // COLUMNS, (tile % across) * COLUMNS + nth % COLUMNS
+    """The directions of a program's tile: azimuth, elevation, number, and whether the grid has them; and the set."""
+    nth = tl.arange(0, ROWS * COLUMNS)
+    nth_set, row, column = _place(num_rows, num_columns, ROWS, COLUMNS)
+    row, column = row + nth // COLUMNS, column + nth % COLUMNS
     there = (row < num_rows) & (column < num_columns)
     u = tl.load(azimuth_rad + column, mask=there, other=0.0)
     v = tl.load(elevation_rad + row, mask=there, other=0.0)
-    return u, v, row * num_columns + column, there
+    return u, v, row * num_columns + column, there, nth_set
 
 
 @triton.jit
@@ -191,20 +205,21 @@ def _forward_kernel(
 ):  # fmt: skip
     """R += G T S, then T −= G T (1 − δ), nearest first; T before each stretch is kept."""
     SIZE: tl.constexpr = ROWS * COLUMNS * LANES
-    u, v, direction, there = _directions(azimuth_rad, elevation_rad, num_rows, num_columns, ROWS, COLUMNS)
-    tile, program = tl.program_id(0), tl.program_id(0) * tl.num_programs(1) + tl.program_id(1)
+    u, v, direction, there, nth_set = _directions(azimuth_rad, elevation_rad, num_rows, num_columns, ROWS, COLUMNS)
+    program = tl.program_id(0) * tl.num_programs(1) + tl.program_id(1)
+    listed = lists + tl.program_id(0).to(tl.int64) * number
     lane = tl.program_id(1) * LANES + tl.arange(0, LANES)
-    has_lane = lane < batch
+    has_lane, sample = lane < batch, (nth_set * batch + lane).to(tl.int64)[None, :]
     cell = tl.arange(0, ROWS * COLUMNS)[:, None] * LANES + tl.arange(0, LANES)[None, :]
     own = kept + program.to(tl.int64) * tl.cdiv(number, LENGTH) * 2 * SIZE + cell
     t_re = tl.full((ROWS * COLUMNS, LANES), 1.0, tl.float32)
     t_im, r_re, r_im = tl.zeros_like(t_re), tl.zeros_like(t_re), tl.zeros_like(t_re)
-    count = tl.load(counts + tile)
+    count = tl.load(counts + tl.program_id(0))
     for nth in range(count):
         if nth % LENGTH == 0:
             tl.store(own + (nth // LENGTH) * 2 * SIZE, t_re)
             tl.store(own + (nth // LENGTH) * 2 * SIZE + SIZE, t_im)
-        gaussian = tl.load(lists + tile * number + nth)
+        gaussian = tl.load(listed + nth)
         g, _, _, _, _ = _footprint(geometry, rows, gaussian, u, v, there, lane, has_lane, batch, support)
         s_re, s_im, e_re, e_im = _attributes(rows, gaussian, lane, has_lane, batch)
         w_re, w_im = g * t_re, g * t_im
@@ -212,7 +227,7 @@ def _forward_kernel(
         r_im += w_re * s_im + w_im * s_re
         t_re -= w_re * e_re - w_im * e_im
         t_im -= w_re * e_im + w_im * e_re
-    place = field + 2 * (lane[None, :].to(tl.int64) * (num_rows * num_columns) + direction[:, None])
+    place = field + 2 * (sample * (num_rows * num_columns) + direction[:, None])
     mask = there[:, None] & has_lane[None, :]
     tl.store(place, r_re, mask=mask)
     tl.store(place + 1, r_im, mask=mask)
@@ -226,18 +241,19 @@ def _backward_kernel(
 ):  # fmt: skip
     """Gradients, farthest first, with V the field from behind per unit of T: V ← V + G (S − (1 − δ) V)."""
     SIZE: tl.constexpr = ROWS * COLUMNS * LANES
-    u, v, direction, there = _directions(azimuth_rad, elevation_rad, num_rows, num_columns, ROWS, COLUMNS)
-    tile, program = tl.program_id(0), tl.program_id(0) * tl.num_programs(1) + tl.program_id(1)
+    u, v, direction, there, nth_set = _directions(azimuth_rad, elevation_rad, num_rows, num_columns, ROWS, COLUMNS)
+    program = tl.program_id(0) * tl.num_programs(1) + tl.program_id(1)
+    listed = lists + tl.program_id(0).to(tl.int64) * number
     lane = tl.program_id(1) * LANES + tl.arange(0, LANES)
-    has_lane = lane < batch
+    has_lane, sample = lane < batch, (nth_set * batch + lane).to(tl.int64)[None, :]
     cell = tl.arange(0, ROWS * COLUMNS)[:, None] * LANES + tl.arange(0, LANES)[None, :]
     own = kept + program.to(tl.int64) * tl.cdiv(number, LENGTH) * 2 * SIZE + cell
     stash = scratch + program.to(tl.int64) * LENGTH * 2 * SIZE + cell
-    place = grad_field + 2 * (lane[None, :].to(tl.int64) * (num_rows * num_columns) + direction[:, None])
+    place = grad_field + 2 * (sample * (num_rows * num_columns) + direction[:, None])
     mask = there[:, None] & has_lane[None, :]
     y_re, y_im = tl.load(place, mask=mask, other=0.0), tl.load(place + 1, mask=mask, other=0.0)
     v_re, v_im = tl.zeros_like(y_re), tl.zeros_like(y_re)
-    count = tl.load(counts + tile)
+    count = tl.load(counts + tl.program_id(0))
     stretches = tl.cdiv(count, LENGTH)
     for back in range(stretches):
         stretch = stretches - 1 - back
@@ -247,7 +263,7 @@ def _backward_kernel(
         for nth in range(length):
             tl.store(stash + nth * 2 * SIZE, t_re)
             tl.store(stash + nth * 2 * SIZE + SIZE, t_im)
-            gaussian = tl.load(lists + tile * number + first + nth)
+            gaussian = tl.load(listed + first + nth)
             g, _, _, _, _ = _footprint(geometry, rows, gaussian, u, v, there, lane, has_lane, batch, support)
             s_re, s_im, e_re, e_im = _attributes(rows, gaussian, lane, has_lane, batch)
             w_re, w_im = g * t_re, g * t_im
@@ -257,7 +273,7 @@ def _backward_kernel(
         for turned in range(length):
             nth = length - 1 - turned
             t_re, t_im = tl.load(stash + nth * 2 * SIZE), tl.load(stash + nth * 2 * SIZE + SIZE)
-            gaussian = tl.load(lists + tile * number + first + nth)
+            gaussian = tl.load(listed + first + nth)
             g, spread, across, along, distance = _footprint(
                 geometry, rows, gaussian, u, v, there, lane, has_lane, batch, support
             )
