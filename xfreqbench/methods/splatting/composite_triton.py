@@ -51,7 +51,7 @@ def composite_on_cuda(
     M = `num_sets` of Gaussians each has N of them and B samples of its own, one set after another.
     """
     ranges_m = projection.range_m.detach().unflatten(0, (num_sets, -1))
-    first = torch.arange(0, ranges_m.numel(), ranges_m.shape[1], device=ranges_m.device)
+    first = ranges_m.shape[1] * torch.arange(num_sets, device=ranges_m.device)  # Gaussian of each set
     order = (ranges_m.argsort(dim=1, stable=True) + first[:, None]).flatten()
     centre = torch.stack([projection.azimuth_rad, projection.elevation_rad], dim=-1)
     reach = (support * projection.covariance.detach().diagonal(dim1=-2, dim2=-1)).sqrt() + _SLACK_RAD

@@ -139,7 +139,7 @@ def _counted(name: str, values: Sequence[object]) -> str:
 
 
 def _unranked_note(comparison: Comparison) -> str:
-    """Which rows have no rank, as seeds are too few or their seconds those of another machine; empty where none is."""
+    """Which rows have no rank, for too few seeds or for another machine's seconds; empty where all have one."""
     few = [
         row.short_label
         for row in comparison.rows

@@ -73,7 +73,7 @@ class Comparison:
         return [row for row in self.rows if self.is_ranked(row)]
 
     def is_ranked(self, row: BoardRow) -> bool:
-        """Whether a row has samples stored, seeds enough, and the machine of others where its budget is a time."""
+        """Whether a row has samples and seeds enough and, where its budget is a time, had it on the machine of most."""
         return self.has_enough_seeds(row) and self.is_timed_alike(row)
 
     def has_enough_seeds(self, row: BoardRow) -> bool:
@@ -84,12 +84,12 @@ class Comparison:
     @cached_property
     def timed_on(self) -> str:
         """The machine of most of the fits whose budget is a time; empty where there is no such fit."""
-        machines = Counter(machine for row in self.rows for machine in row.timed_on)
+        machines = Counter(machine for row in self.rows for machine in row.timing_machines)
         return machines.most_common(1)[0][0] if machines else ""
 
     def is_timed_alike(self, row: BoardRow) -> bool:
-        """Whether no fit of a row had its budget in seconds of another machine than most, which does more or less."""
-        return set(row.timed_on) <= {self.timed_on}
+        """Whether all fits of a row whose budget is a time had it on the machine of most, as others do more or less."""
+        return set(row.timing_machines) <= {self.timed_on}
 
     def difference(self, row: BoardRow, other: BoardRow) -> Interval:
         """Interval of a row's average median SSIM minus another's; nan where one of the two is not ranked."""

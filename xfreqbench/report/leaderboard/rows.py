@@ -46,7 +46,7 @@ class BoardRow:
         return lane_of(self.records[0])
 
     @property
-    def timed_on(self) -> list[str]:
+    def timing_machines(self) -> list[str]:
         """The machine of every fit whose budget is a time."""
         timed = [record for record in self.records if lane_of(record) and record.job.budget.max_seconds is not None]
         return [machine_name(record.hardware) for record in timed]
