@@ -23,6 +23,9 @@ NUM_TX, BUDGET = 60, xb.Budget(max_maps=64_000)
 SCENES = ("office", "two_rooms", "corridor")
 CASES = (  # trained on (None: the nine others), tested at, in GHz, and transmitters
     ((1, 2.4, 10, 24.25), 77, 60),
+    (None, 94, 60),
+    (None, 1, 60),
+    ((2.4, 10, 24.25, 77), 1, 24),
     ((1, 10, 77), 24.25, 60),
     (None, 2.4, 60),
     (None, 24.25, 24),

@@ -17,6 +17,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.blending import KINDS, LEARNED, Blend, Choice, Holdout
 from xfreqbench.methods.lookup import TransmitterLookup
+from xfreqbench.methods.splatting.field import SplatField
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -176,7 +177,7 @@ def test_a_method_that_knows_nothing_gives_way_to_trivial_predictors(train: PasD
     blend = Blend.chosen(TRIVIAL, train, holdout, told(NOISE))
     assert set(blend.choices) == set(holdout.rows)
     assert not any(LEARNED in choice.weights for choice in blend.choices.values())
-    query = train.tx_position_m[:1], np.array([80e9])
+    query = train.tx_position_m[:1], np.array([20e9])
     weights = next(choice.weights for kind, choice in blend.choices.items() if kind.startswith(KINDS[0] + " at "))
     mean = np.zeros((1, *train.grid.shape), np.float32)
     for predictor in TRIVIAL:
@@ -264,14 +265,48 @@ def test_between_held_out_carriers_maps_are_means_of_their_choices_and_beyond_th
     train: PasDataset,
 ) -> None:
     chosen = {at(KINDS[0], carrier_hz): beside_line_of_sight(weight, carrier_hz) for carrier_hz, weight in WEIGHTS}
-    blend = Blend(TRIVIAL, train, chosen)
-    los = TRIVIAL[0]()
-    next(iter(los.fit(train, Budget(), 0)))
-    learned = np.ones((1, *train.grid.shape), np.float32)
-    for carrier_hz, weight in ((0.5e9, 0.25), (2e9, 0.25), (4e9, 0.625), (8e9, 1.0), (90e9, 1.0)):
+    for carrier_hz, weight in ((1e9, 0.25), (2e9, 0.25), (4e9, 0.625), (8e9, 1.0), (37e9, 1.0)):
+        assert_mixed(train, chosen, (carrier_hz,), {LEARNED: weight, "LineOfSight": 1 - weight})
+
+
+def assert_mixed(
+    train: PasDataset, choices: dict[str, Choice], carriers_hz: Collection[float], weights: dict[str, float]
+) -> None:
+    """Maps of a seen transmitter, where the learned ones are flat, are the mean with these weights."""
+    known = {predictor.__name__: predictor() for predictor in TRIVIAL}
+    for predictor in known.values():
+        next(iter(predictor.fit(train.subset(train.has_path), Budget(), 0)))
+    blend, learned = Blend(TRIVIAL, train, choices), np.ones((1, *train.grid.shape), np.float32)
+    for carrier_hz in carriers_hz:
         query = train.tx_position_m[:1], np.array([carrier_hz])
-        mixed = weight + (1 - weight) * los.predict(*query)
+        maps = {LEARNED: learned} | {name: predictor.predict(*query) for name, predictor in known.items()}
+        mixed = sum(weight * maps[name] for name, weight in weights.items())
         np.testing.assert_allclose(blend.maps(learned, *query), mixed / mixed.max(), atol=1e-6)
+
+
+def test_an_octave_beyond_the_band_no_carrier_chooses_any_more(train: PasDataset) -> None:
+    chosen = {at(KINDS[0], 1e9): Choice(weights={"Nearest": 1.0}, carrier_hz=1e9)}
+    far = {LEARNED: 1 / 3, "LineOfSight": 1 / 2, "MeanOverFrequency": 1 / 6}
+    half = {"Nearest": 1 / 2} | {name: weight / 2 for name, weight in far.items()}
+    assert_mixed(train, chosen, (1e9, 10e9, 37e9), {"Nearest": 1.0})
+    assert_mixed(train, chosen, (1e9 / 2**0.5, 37e9 * 2**0.5), half)
+    assert_mixed(train, chosen, (0.1e9, 0.5e9, 94e9), far)
+
+
+def test_of_a_single_carrier_all_others_have_the_same_weights(tmp_path: Path) -> None:
+    single = write_dataset(tmp_path / "single.h5", 6, (10.0,))
+    assert_mixed(single, {KINDS[0]: beside_line_of_sight(0.25)}, (5e9, 94e9), {LEARNED: 0.25, "LineOfSight": 0.75})
+
+
+def test_while_the_outermost_carriers_are_held_out_they_are_beyond_the_band(train: PasDataset) -> None:
+    model = XFreqGS(XFreqGSConfig(**{**TINY, "blend": "auto"}))
+    fit = model.fit(train, Budget(max_steps=100), 0)
+    for step, expected_ghz in ((lambda: next(fit), (5, 10)), (lambda: fit.send(0.3), (1, 37))):
+        step()
+        field = model._training.predictor
+        assert isinstance(field, SplatField)
+        heard_ghz = field.scaling.heard_log_band.exp() / 1e9
+        np.testing.assert_allclose(heard_ghz, expected_ghz)
 
 
 def test_every_kind_of_query_has_its_own_weight(train: PasDataset) -> None:

@@ -104,15 +104,19 @@ def test_rows_without_a_path_are_no_targets(tmp_path: Path) -> None:
     torch.testing.assert_close(peaks, torch.ones(len(targets)), rtol=0, atol=1e-5)
 
 
-def test_carriers_are_blurred_by_parts_of_the_band_on_a_logarithmic_axis(tmp_path: Path) -> None:
+def test_carriers_are_blurred_by_parts_of_the_band_on_a_logarithmic_axis_and_stay_in_it(tmp_path: Path) -> None:
     train = write_dataset(tmp_path / "data.h5", num_tx=1, carriers_ghz=(1.0, 10.0, 100.0))
     every_row = torch.arange(3).repeat(2000)
     generator = torch.Generator().manual_seed(0)
     _, carrier_hz = Targets(train, Beams(train.beam, CPU)).queries(every_row, 0.5, generator)
     decades = torch.log10(carrier_hz).reshape(-1, 3) - torch.tensor([9.0, 10.0, 11.0])
     # half the band is a decade; 2,000 draws leave 2 % of their deviation
-    torch.testing.assert_close(decades.std(0), torch.full((3,), 0.5).double(), rtol=0.06, atol=0)
-    torch.testing.assert_close(decades.mean(0), torch.zeros(3).double(), rtol=0, atol=0.05)
+    assert float(decades[:, 1].std()) == pytest.approx(0.5, rel=0.06)
+    assert float(decades[:, 1].mean()) == pytest.approx(0, abs=0.05)
+    assert (carrier_hz.min(), carrier_hz.max()) == (1e9, 1e11)
+    for end, inwards in ((0, 1), (2, -1)):  # half of the draws would leave the band
+        assert float((decades[:, end] == 0).double().mean()) == pytest.approx(0.5, abs=0.05)
+        assert bool((inwards * decades[:, end] >= 0).all())
 
 
 @pytest.mark.parametrize("pas_kind", ["power", "amplitude"])

@@ -35,7 +35,7 @@ ENCODING = Area("encoding")
 Field = TypeVar("Field", bound=SplatField | ApertureField)
 _BANDS_HZ = {  # lowest and highest carrier of the training band, carriers to be scaled
     "carriers within the training band": (1e9, 94e9, [1e9, 94e9, 24.25e9]),
-    "carriers outside the training band": (1e9, 94e9, [0.5e9, 300e9]),
+    "carriers outside the training band": (1e9, 94e9, [0.5e9, 0.9e9, 100e9, 300e9]),
     "band of one carrier": (1e9, 1e9, [1e9, 2e9]),
     "band of 100 kHz at 24.25 GHz": (24.25e9, 24.25e9 + 1e5, [24.25e9, 24.25e9 + 1e5]),
 }
@@ -174,14 +174,17 @@ def _field_power(field: SplatField | ApertureField, carrier_hz: tuple[float, flo
 def _unit_carriers(low_hz: float, high_hz: float, carrier_hz: list[float]) -> float:
     """Error of carriers on the logarithmic axis of a training band, against ratios of logarithms.
 
-    Carriers beyond the band are taken for its edge; that of a band of one carrier is 0.
+    Carriers beyond the band are nearer to its middle, and in it from a fifth beyond its end; that of a band of one
+    carrier is 0.
     """
     scaling = Scaling()
-    scaling.log_band.copy_(torch.tensor([low_hz, high_hz], dtype=torch.float64).log())
+    for band in (scaling.log_band, scaling.heard_log_band):
+        band.copy_(torch.tensor([low_hz, high_hz], dtype=torch.float64).log())
     found = scaling.unit_carrier(torch.tensor(carrier_hz, dtype=torch.float64))[:, 0]
     width, inside = math.log1p((high_hz - low_hz) / low_hz), np.clip(carrier_hz, low_hz, high_hz)
     expected = [2 * math.log1p((carrier - low_hz) / low_hz) / width - 1 if width else 0.0 for carrier in inside]
-    return float((found - torch.tensor(expected)).abs().max())
+    nearness = (1 - np.abs(np.log(carrier_hz / inside)) / math.log(1.2)).clip(min=0)
+    return float((found - torch.tensor(expected * nearness)).abs().max())
 
 
 # the finest octave reaches 2⁹π rad, where float32 is 6e-8 of 1608 off

@@ -3,7 +3,8 @@
 In the first half of a training some carriers and transmitters are held out, as unseen ones will be. With them the
 weights are chosen, for each kind of query; then the training goes on with all rows. For transmitters that are far from
 all trained ones, and for carriers beyond the training band, other predictors are the good ones. For them, a region of
-transmitters and the outermost carriers are held out in the first quarter.
+transmitters and the outermost carriers are held out in the first quarter. An octave beyond the band even these say
+little: whether a wall lets the wave through changes as fast. There, weights are the same for all rooms.
 
 Of a seen transmitter the mean of its maps is known. Where it looks like the line of sight, other weights are good than
 where it does not, behind a wall or a cupboard: each has its own.
@@ -31,8 +32,12 @@ from xfreqbench.units import format_ghz
 
 CHOOSE_AT, CHOOSE_FAR_AT = 0.5, 0.25  # shares of the budget after which weights are chosen
 LEARNED = "learned"  # the name of the learned maps among those of predictors
+LINE_OF_SIGHT, MEAN_OVER_FREQUENCY = "LineOfSight", "MeanOverFrequency"
 # parts that a blend begins with, where transmitters are seen, and where they are not: there, means over others mislead
-_START, _START_UNSEEN = ("LineOfSight", "MeanOverFrequency"), ("LineOfSight", "LineOfSight")
+_START, _START_UNSEEN = (LINE_OF_SIGHT, MEAN_OVER_FREQUENCY), (LINE_OF_SIGHT, LINE_OF_SIGHT)
+# weights an octave beyond the band, of seen transmitters and of others
+_FAR_BEYOND = {LEARNED: 1 / 3, LINE_OF_SIGHT: 1 / 2, MEAN_OVER_FREQUENCY: 1 / 6}
+_FAR_BEYOND_UNSEEN = {LEARNED: 1 / 3, LINE_OF_SIGHT: 2 / 3}
 _CLEAR = (0.7, 0.9)  # SSIM of line of sight and mean over frequency: the sight is obscured below, clear above
 _PARTS = 8  # so many more are given one by one to whichever brings most
 _LEAST_ROWS, _MOST_ROWS = 4, 48  # of each kind on which weights are chosen, and most held-out transmitters
@@ -150,7 +155,7 @@ class Blend:
     def __init__(self, predictors: Sequence[type], train: PasDataset, choices: Mapping[str, Choice]) -> None:
         self.choices, self.transmitters = choices, TrainingTransmitters(train)
         needed = {name for choice in choices.values() for name in choice.weights | (choice.obscured or {})}
-        if any(choice.obscured for choice in choices.values()):
+        if any(choice.obscured or choice.carrier_hz for choice in choices.values()):
             needed |= {*_START}
         self._predictors = _knowing([predictor for predictor in predictors if predictor.__name__ in needed], train)
 
@@ -201,14 +206,17 @@ class Blend:
         for (kind, is_beyond), asked in self._kinds(tx_position_m, carrier_hz).items():
             weights[LEARNED][asked] = 0
             shares = [*self._shares(kind, is_beyond, carrier_hz[asked])]
-            clear = np.ones(len(asked))
+            clear, far = np.ones(len(asked)), self._far_beyond(carrier_hz[asked])
             if any(choice.obscured for choice, _ in shares):
                 query = tx_position_m[asked], carrier_hz[asked]
                 clear = _clear({name: self._predictors[name].predict(*query)[:, ::STRIDE, ::STRIDE] for name in _START})
+            if far.any():
+                for name, weight in (_FAR_BEYOND if kind == KINDS[0] else _FAR_BEYOND_UNSEEN).items():
+                    weights[name][asked] += weight * far
             for choice, share in shares:
                 for of_part, part in ((choice.weights, clear), (choice.obscured or choice.weights, 1 - clear)):
                     for name, weight in of_part.items():
-                        weights[name][asked] += weight * share * part
+                        weights[name][asked] += weight * share * part * (1 - far)
         blended = weights[LEARNED][:, None, None] * learned
         for name, predictor in self._predictors.items():
             if len(at := np.flatnonzero(weights[name])):
@@ -231,6 +239,13 @@ class Blend:
         place = np.interp(np.log(carrier_hz), np.log([*map(_carrier_of, choices)]), np.arange(len(choices)))
         for nth, choice in enumerate(choices):
             yield choice, np.clip(1 - np.abs(place - nth), 0, 1)
+
+    def _far_beyond(self, carrier_hz: Float[FloatArray, "B"]) -> Float[FloatArray, "B"]:
+        """How far carriers are beyond the band, in octaves and at most 1; 0 where no other carrier chose any weight."""
+        if len(self.transmitters.carrier_hz) < 2 or not self._predictors.keys() >= {*_START}:
+            return np.zeros(len(carrier_hz))
+        lowest_hz, highest_hz = self.transmitters.carrier_hz[[0, -1]]
+        return np.log2(np.maximum(lowest_hz / carrier_hz, carrier_hz / highest_hz)).clip(0, 1)
 
     def _kinds(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]

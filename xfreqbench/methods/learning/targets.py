@@ -151,13 +151,15 @@ class Targets:
     ) -> tuple[Float[Tensor, "B 3"], Float[Tensor, "B"]]:
         """Transmitters in metres (float32) and carriers in Hz (float64) of the `nth` rows that have a path.
 
-        Carriers are moved at random on a logarithmic axis, with a standard deviation of `blur` half bands.
+        Carriers are moved at random on a logarithmic axis, with a standard deviation of `blur` half bands, but not out
+        of the band.
         """
         rows = self.rows[nth.numpy()]
         position_m = torch.as_tensor(self._train.tx_position_m[rows], dtype=torch.float32)
         carrier_hz = torch.as_tensor(self._train.carrier_hz[rows])
         shift = torch.randn(len(nth), generator=generator, dtype=torch.float64) * blur * self._half_band
-        return position_m.to(self._device), (carrier_hz * shift.exp()).to(self._device)
+        moved_hz = (carrier_hz * shift.exp()).clamp(*self._band_hz)
+        return position_m.to(self._device), moved_hz.to(self._device)
 
     @property
     def positions_and_carriers(self) -> tuple[Float[FloatArray, "n 3"], Float[FloatArray, "n"]]:
@@ -168,6 +170,10 @@ class Targets:
     def _half_band(self) -> float:
         """Half the range of the logarithms of the training carriers."""
         return float(np.ptp(np.log(self._train.carrier_hz))) / 2
+
+    @cached_property
+    def _band_hz(self) -> tuple[float, float]:
+        return float(self._train.carrier_hz.min()), float(self._train.carrier_hz.max())
 
     def maps(self, nth: Int[Tensor, "B"], view: GridView) -> Float[Tensor, "B E A"]:
         """Maps in view of the `nth` rows that have a path, scaled so that the peak of the whole map is 1."""

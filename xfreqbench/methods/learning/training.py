@@ -27,6 +27,7 @@ from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.blending import Blend, Holdout
 from xfreqbench.methods.learning.cuda_graph import StepGraph
+from xfreqbench.methods.learning.encoding import Scaling
 from xfreqbench.methods.learning.loss import map_loss
 from xfreqbench.methods.learning.stored import ADAM, SavedState, moments_of, named, require_moments, stored_state
 from xfreqbench.methods.learning.targets import Beams, GridView, Targets, in_kind, of_peak
@@ -202,6 +203,9 @@ class LearnedMethod:
     def _targets(self, train: PasDataset, training: Training, holdouts: Sequence[Holdout]) -> Targets:
         """The rows that are trained on, while those of the first of `holdouts` are held out."""
         shown = train.subset(holdouts[0].left) if holdouts else train
+        for module in training.field.modules():
+            if isinstance(module, Scaling):
+                module.hear(shown)
         return Targets(shown, training.beams, self.config.derive_targets)
 
     def maps_a_step(self, train: PasDataset) -> int:
@@ -219,7 +223,8 @@ class LearnedMethod:
         """For each kind of query, the weights of the learned maps and of the trivial predictors' in the blend."""
         if self._blend is None:
             return {}
-        return {"blend": {kind: choice.model_dump(exclude_none=True) for kind, choice in self._blend.choices.items()}}
+        choices = self._blend.choices.items()
+        return {"blend": {kind: choice.model_dump(exclude_defaults=True) for kind, choice in choices}}
 
     def _learned(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
