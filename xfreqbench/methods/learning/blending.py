@@ -241,7 +241,10 @@ class Blend:
             yield choice, np.clip(1 - np.abs(place - nth), 0, 1)
 
     def _far_beyond(self, carrier_hz: Float[FloatArray, "B"]) -> Float[FloatArray, "B"]:
-        """How far carriers are beyond the band, in octaves and at most 1; 0 where no other carrier chose any weight."""
+        """How far carriers are beyond the band, in octaves and at most 1.
+
+        0 of a single training carrier, and where the predictors are not there that weights far beyond the band are of.
+        """
         if len(self.transmitters.carrier_hz) < 2 or not self._predictors.keys() >= {*_START}:
             return np.zeros(len(carrier_hz))
         lowest_hz, highest_hz = self.transmitters.carrier_hz[[0, -1]]

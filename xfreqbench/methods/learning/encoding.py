@@ -16,7 +16,7 @@ from xfreqbench.data.dataset import PasDataset
 _GRID_RATE = 5.0  # of the learning rate
 # share by which the box of training positions grows, so that Gaussians may stand behind the outermost
 _MARGIN = 0.1
-_FAR_BEYOND = math.log(1.2)  # of carriers from the band, where what was learned at its end serves no longer
+_REACH = math.log(1.2)  # how far beyond an end of the band what was learned there still serves
 
 
 def positional_encoding(x: Float[Tensor, "... D"], num_octaves: int) -> Float[Tensor, "... C"]:
@@ -103,7 +103,7 @@ class Scaling(nn.Module):
         """1 for carriers in the band of the rows that are trained on, and 0 for those far beyond it."""
         log_carrier, (low, high) = carrier_hz.log(), self.heard_log_band
         beyond = (low - log_carrier).maximum(log_carrier - high).clamp(min=0)
-        return (1 - beyond / _FAR_BEYOND).clamp(min=0)[:, None].float()
+        return (1 - beyond / _REACH).clamp(min=0)[:, None].float()
 
     @staticmethod
     def _unit(carrier: Float[Tensor, "B"], band: Float[Tensor, "2"]) -> Float[Tensor, "B 1"]:

@@ -223,8 +223,7 @@ class LearnedMethod:
         """For each kind of query, the weights of the learned maps and of the trivial predictors' in the blend."""
         if self._blend is None:
             return {}
-        choices = self._blend.choices.items()
-        return {"blend": {kind: choice.model_dump(exclude_defaults=True) for kind, choice in choices}}
+        return {"blend": {kind: choice.model_dump(exclude_none=True) for kind, choice in self._blend.choices.items()}}
 
     def _learned(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
