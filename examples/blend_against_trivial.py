@@ -1,8 +1,9 @@
 """Prints how far `xfreq-gs` with its blend is from the best trivial predictor, where data are few: minutes on a core.
 
-`python examples/blend_against_trivial.py 0` takes up to 60 transmitters of shipped scenes, and of two random rooms that
-chose no setting, at the paper's carriers. It compares medians of SSIM at a carrier, after a training of 64,000 maps at
-other carriers of the same transmitters; of several seeds, as in `0 1 2`, the mean of their medians.
+`python examples/blend_against_trivial.py 0` takes transmitters of shipped scenes, and of two random rooms that chose no
+setting, at the paper's carriers. It compares medians of SSIM after a training of 64,000 maps: first at a carrier, after
+one at other carriers of the same transmitters, 60 at most; then in a region of the floor, after one at other places; of
+several seeds, as in `0 1 2`, the mean of their medians.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import KDTree
 from xfreqbench.baselines.trivial import TRIVIAL
 from xfreqbench.baselines.xfreq_gs import XFreqGS
 
 import xfreqbench as xb
 from xfreqbench.methods.fitting import fit_within
 
-NUM_TX, BUDGET = 60, xb.Budget(max_maps=64_000)
+BUDGET = xb.Budget(max_maps=64_000)
 SCENES = ("office", "two_rooms", "corridor")
 CASES = (  # trained on (None: the nine others), tested at, in GHz, and transmitters
     ((1, 2.4, 10, 24.25), 77, 60),
@@ -31,6 +33,8 @@ CASES = (  # trained on (None: the nine others), tested at, in GHz, and transmit
     (None, 24.25, 24),
     ((10,), 24.25, 60),
 )
+REGIONS = ("below the array", "lowest x", "highest x", "lowest y", "highest y")  # a sixth of the transmitters each
+MARGIN_M = 0.5  # around a region, of which nothing is trained on
 
 
 def random_room(seed: int) -> xb.Scene:
@@ -59,37 +63,51 @@ def ssim(method: xb.Method, tested: xb.PasDataset) -> float:
     return float(np.median(xb.metrics.ssim(predicted, tested.pas(), tested.grid)))
 
 
-def differences(data: xb.PasDataset, seeds: list[int]) -> Iterator[float]:
-    """In each case, `xfreq-gs` minus the best trivial predictor, in SSIM."""
+def difference(train: xb.PasDataset, tested: xb.PasDataset, seeds: list[int]) -> float:
+    """`xfreq-gs` minus the best trivial predictor, in SSIM."""
+    scores = []
+    for make, budget, seed in [*((each, xb.Budget(), 0) for each in TRIVIAL), *((XFreqGS, BUDGET, s) for s in seeds)]:
+        method = make()
+        fit_within(method, train.isolated(), budget, seed)
+        scores.append(ssim(method, tested))
+    return float(np.mean(scores[len(TRIVIAL) :])) - max(scores[: len(TRIVIAL)])
+
+
+def at_carriers(data: xb.PasDataset, seeds: list[int]) -> Iterator[float]:
+    """The difference in each of `CASES`."""
     ghz = (data.carrier_hz / 1e9).round(6)
     for trained, target, num_tx in CASES:
-        is_known = data.tx_index < num_tx
+        is_known = (data.tx_index < num_tx) & data.has_path
         is_trained = np.isin(ghz, trained) if trained else ghz != target
-        train, tested = (data[is_known & part & data.has_path] for part in (is_trained, ghz == target))
-        train = train.isolated()
-        scores = []
-        for make, budget, seed in [
-            *((each, xb.Budget(), 0) for each in TRIVIAL),
-            *((XFreqGS, BUDGET, s) for s in seeds),
-        ]:
-            method = make()
-            fit_within(method, train, budget, seed)
-            scores.append(ssim(method, tested))
-        yield float(np.mean(scores[len(TRIVIAL) :])) - max(scores[: len(TRIVIAL)])
+        yield difference(data[is_known & is_trained], data[is_known & (ghz == target)], seeds)
+
+
+def in_regions(data: xb.PasDataset, seeds: list[int]) -> Iterator[float]:
+    """The difference in each of `REGIONS`."""
+    place_m = data.tx_position_m[:, :2]
+    from_array_m = np.linalg.norm(place_m - data.header.receiver.position_m[:2], axis=1)
+    for along in (from_array_m, place_m[:, 0], -place_m[:, 0], place_m[:, 1], -place_m[:, 1]):
+        is_tested = along <= np.quantile(along, 1 / 6)
+        is_near = KDTree(place_m[is_tested]).query(place_m)[0] < MARGIN_M
+        yield difference(data[~is_near & data.has_path], data[is_tested & data.has_path], seeds)
 
 
 def main(seeds: list[int]) -> None:
-    """Print the table."""
-    columns = {}
+    """Print both tables."""
+    carriers, regions = {}, {}
     with tempfile.TemporaryDirectory() as folder:
         for number, scene in enumerate([*SCENES, random_room(1), random_room(2)]):
-            data = xb.generate(scene, Path(folder) / f"{number}.h5", tx=NUM_TX, maps=False)
-            columns[data.header.scene_name] = list(differences(data, seeds))
-    print(f"| trained on (GHz) | tested at | transmitters | {' | '.join(columns)} |")
-    print(f"{'| --- ' * 3}{'| ---: ' * len(columns)}|")
-    for (trained, target, num_tx), *cells in zip(CASES, *columns.values(), strict=True):
+            for columns, compared, num_tx in ((carriers, at_carriers, 60), (regions, in_regions, 180)):
+                data = xb.generate(scene, Path(folder) / f"{number}-{num_tx}.h5", tx=num_tx, maps=False)
+                columns[data.header.scene_name] = list(compared(data, seeds))
+    print(f"| trained on (GHz) | tested at | transmitters | {' | '.join(carriers)} |")
+    print(f"{'| --- ' * 3}{'| ---: ' * len(carriers)}|")
+    for (trained, target, num_tx), *cells in zip(CASES, *carriers.values(), strict=True):
         words = ", ".join(f"{each:g}" for each in trained) if trained else "nine carriers"
         print(f"| {words} | {target:g} | {num_tx} | {' | '.join(f'{cell:+.3f}' for cell in cells)} |")
+    print(f"\n| tested region | {' | '.join(regions)} |\n| --- {'| ---: ' * len(regions)}|")
+    for region, *cells in zip(REGIONS, *regions.values(), strict=True):
+        print(f"| {region} | {' | '.join(f'{cell:+.3f}' for cell in cells)} |")
 
 
 if __name__ == "__main__":

@@ -97,6 +97,13 @@ class TrainingTransmitters:
         """The distance of each position from the nearest training transmitter."""
         return np.asarray(self._tree.query(tx_position_m)[0])
 
+    def turned_deg(self, tx_position_m: Float[FloatArray, "B 3"]) -> Float[FloatArray, "B"]:
+        """The angle at the receiver between each position and the nearest training transmitter."""
+        at_m = np.asarray(self.asked.header.receiver.position_m)
+        asked, known = tx_position_m - at_m, self._position_m[self._tree.query(tx_position_m)[1]] - at_m
+        across = np.linalg.norm(np.cross(asked, known), axis=1)
+        return np.degrees(np.arctan2(across, (asked * known).sum(1)))
+
     def knows(self, tx_position_m: Float[FloatArray, "B 3"]) -> Bool[NDArray[np.bool_], "B"]:
         """Whether a training transmitter stands at each position."""
         return self.away_m(tx_position_m) <= SAME_TRANSMITTER_M

@@ -1,10 +1,10 @@
 """Blends learned maps with those of trivial predictors, by weights that are chosen on validation rows of the training.
 
 In the first half of a training some carriers and transmitters are held out, as unseen ones will be. With them the
-weights are chosen, for each kind of query; then the training goes on with all rows. For transmitters that are far from
-all trained ones, and for carriers beyond the training band, other predictors are the good ones. For them, a region of
-transmitters and the outermost carriers are held out in the first quarter. An octave beyond the band even these say
-little: whether a wall lets the wave through changes as fast. There, weights are the same for all rooms.
+weights are chosen, for each kind of query; then the training goes on with all rows. For carriers beyond the training
+band other predictors are the good ones: to choose for them, the outermost carriers are held out in the first quarter.
+An octave beyond the band even these say little, for whether a wall lets the wave through changes as fast; nor does one
+region of a room say what is good in another. There, weights are the same for all rooms.
 
 Of a seen transmitter the mean of its maps is known. Where it looks like the line of sight, other weights are good than
 where it does not, behind a wall or a cupboard: each has its own.
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict
 
 from xfreqbench.data.dataset import PasDataset
@@ -26,32 +26,30 @@ from xfreqbench.data.validation import LEAST_VALIDATION_TX, inner_carriers_hz, v
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.coarse import CoarseDataset
 from xfreqbench.methods.learning.mixing import STRIDE, Predict, scaled, similarities
-from xfreqbench.methods.lookup import TrainingTransmitters
+from xfreqbench.methods.lookup import SAME_TRANSMITTER_M, TrainingTransmitters
 from xfreqbench.types import FloatArray, IntArray, Maps, NDArray
 from xfreqbench.units import format_ghz
 
-CHOOSE_AT, CHOOSE_FAR_AT = 0.5, 0.25  # shares of the budget after which weights are chosen
+CHOOSE_AT, CHOOSE_BEYOND_AT = 0.5, 0.25  # shares of the budget after which weights are chosen
 LEARNED = "learned"  # the name of the learned maps among those of predictors
 LINE_OF_SIGHT, MEAN_OVER_FREQUENCY = "LineOfSight", "MeanOverFrequency"
 # parts that a blend begins with, where transmitters are seen, and where they are not: there, means over others mislead
 _START, _START_UNSEEN = (LINE_OF_SIGHT, MEAN_OVER_FREQUENCY), (LINE_OF_SIGHT, LINE_OF_SIGHT)
-# weights an octave beyond the band, of seen transmitters and of others
-_FAR_BEYOND = {LEARNED: 1 / 3, LINE_OF_SIGHT: 1 / 2, MEAN_OVER_FREQUENCY: 1 / 6}
-_FAR_BEYOND_UNSEEN = {LEARNED: 1 / 3, LINE_OF_SIGHT: 2 / 3}
+# weights far from all that is known, where the nearest training transmitter is in the same direction, and where not
+_FAR = {LEARNED: 1 / 3, LINE_OF_SIGHT: 1 / 2, MEAN_OVER_FREQUENCY: 1 / 6}
+_FAR_ELSEWHERE = {LEARNED: 1 / 4, LINE_OF_SIGHT: 3 / 4}
+_ELSEWHERE_DEG = 10.0  # between directions at the receiver
+_FAR_SPACINGS = (1.0, 1.4)  # of the training transmitters, between which one gets far from all of them
+_ALIKE = (0.6, 0.8)  # SSIM of line of sight and learned map, of a transmitter that is far: the latter is wrong below
 _CLEAR = (0.7, 0.9)  # SSIM of line of sight and mean over frequency: the sight is obscured below, clear above
 _PARTS = 8  # so many more are given one by one to whichever brings most
 _LEAST_ROWS, _MOST_ROWS = 4, 48  # of each kind on which weights are chosen, and most held-out transmitters
 _LEAST_TX, _LEAST_TX_SHARE = 8, 4  # held out: so many, but no more than one of four
 _LEAST_ALIKE = 8.0  # clear and obscured rows; where either are fewer, all choose together
-_FAR = (1.5, 3.0)  # spacings of the training transmitters, beyond which one is far from them, and very far
-_LEAST_SECONDS_FOR_FAR = 8.0  # of a budget: choices for far transmitters take one or two
-_REGION_SHARE = 0.15  # of the transmitters
-_MANY_CARRIERS = 7  # so many that those inside the band may be held out beside the outermost ones
 _MOST_CARRIERS = 3  # that are held out inside the band
 _UNKNOWN_WEIGHT = 0.25  # of the learned maps, where no carrier can be held out
-_PLACES = ("transmitter", "far transmitter", "very far transmitter")
 BoolArray = NDArray[np.bool_]
-KINDS = ("unseen carrier", *(kind for place in _PLACES for kind in (f"unseen {place}", f"unseen carrier and {place}")))
+KINDS = ("unseen carrier", "unseen transmitter", "unseen carrier and transmitter")
 
 
 class Choice(BaseModel):
@@ -77,46 +75,32 @@ class Holdout:
     rows: Mapping[str, IntArray]
 
     @classmethod
-    def draw(cls, train: PasDataset, seed: int, seconds: float | None = None) -> list[Holdout]:
-        """Carriers inside the band and a tenth of the transmitters, and before it a region and the outermost carriers.
+    def draw(cls, train: PasDataset, seed: int) -> list[Holdout]:
+        """Carriers inside the band and a tenth of the transmitters, and before it the outermost carriers.
 
         The earliest comes first, and they are the same for the same seed. Of few transmitters they are more than a
         tenth. `make_splits` with `on="validation"` chooses among the same inner carriers, and draws transmitters in the
-        same way. Where too few transmitters of the region would be far from those that are left, it is not held out.
+        same way.
         """
         generator = np.random.default_rng(seed)
         heard_hz, inner_hz = np.unique(train.carrier_hz), inner_carriers_hz(train)
-        is_carrier = np.isin(train.carrier_hz, _drawn_carriers(inner_hz, generator))
+        is_inner = np.isin(train.carrier_hz, _drawn_carriers(inner_hz, generator))
+        is_outermost = np.isin(train.carrier_hz, heard_hz[[0, -1]] if len(heard_hz) > 2 else heard_hz[1:])
         least = max(LEAST_VALIDATION_TX, min(_LEAST_TX, len(np.unique(train.place_index)) // _LEAST_TX_SHARE))
         is_tx = np.isin(train.place_index, validation_tx(train, generator, _MOST_ROWS, least))
 
-        def drawn(until: float, is_unseen: BoolArray, is_unheard: BoolArray, places: Sequence[BoolArray]) -> Holdout:
-            """What is neither of unseen transmitters nor of unheard carriers is left; places are those of `KINDS`."""
-            of_kinds = {KINDS[2 * nth - 1]: of & ~is_unheard for nth, of in enumerate(places) if nth}
-            for nth, of in enumerate(places):
+        def drawn(until: float, is_unheard: BoolArray, of_kinds: dict[str, BoolArray]) -> Holdout:
+            """What is neither of held-out transmitters nor of unheard carriers is left."""
+            for kind, of in ((KINDS[0], ~is_tx), (KINDS[2], is_tx)):
                 for carrier_hz in np.unique(train.carrier_hz[is_unheard]).tolist():
-                    kind = f"{KINDS[2 * nth]} at {format_ghz(carrier_hz)}"
-                    of_kinds[kind] = of & is_unheard & (train.carrier_hz == carrier_hz)
+                    of_kinds[f"{kind} at {format_ghz(carrier_hz)}"] = of & (train.carrier_hz == carrier_hz)
             drawn = {kind: generator.permutation(np.flatnonzero(of & train.has_path)) for kind, of in of_kinds.items()}
             rows = {kind: np.sort(of[:_MOST_ROWS]) for kind, of in drawn.items() if len(of) >= _LEAST_ROWS}
-            return cls(until, np.flatnonzero(~is_unseen & ~is_unheard), rows)
+            return cls(until, np.flatnonzero(~is_tx & ~is_unheard), rows)
 
-        last = drawn(CHOOSE_AT, is_tx, is_carrier, (~is_tx, is_tx))
-        is_unseen = is_tx | _is_in_region(train, generator)
-        is_outermost = np.isin(train.carrier_hz, heard_hz[[0, -1]] if len(heard_hz) > 2 else heard_hz[1:])
-        is_unheard = is_outermost | (is_carrier & (len(heard_hz) >= _MANY_CARRIERS))
-        is_left = ~is_unseen & ~is_unheard
-        if not is_left.any() or (seconds is not None and seconds < _LEAST_SECONDS_FOR_FAR):
-            return [last]
-        known = TrainingTransmitters(train.subset(np.flatnonzero(is_left)))
-        reach = _reach(known, train.tx_position_m) * is_unseen
-        for nth in (2, 1):
-            if len(np.unique(train.tx_index[reach == nth])) < _LEAST_TX:  # a few transmitters say little
-                reach[reach == nth] -= 1
-        is_near = reach == 0  # with inner carriers, they wait for the last holdout
-        places = (is_near & ~is_unseen & is_outermost, is_tx & is_near & is_outermost, reach == 1, reach == 2)
-        early = drawn(CHOOSE_FAR_AT, is_unseen, is_unheard, places)
-        return [early, last] if early.rows else [last]
+        last = drawn(CHOOSE_AT, is_inner, {KINDS[1]: is_tx & ~is_inner})
+        early = drawn(CHOOSE_BEYOND_AT, is_outermost, {})
+        return [early, last] if early.rows and len(early.left) else [last]
 
 
 def _drawn_carriers(inner_hz: Float[FloatArray, "F"], generator: np.random.Generator) -> Float[FloatArray, "n"]:
@@ -130,33 +114,12 @@ def _drawn_carriers(inner_hz: Float[FloatArray, "F"], generator: np.random.Gener
     return inner_hz[[*ends, *([generator.choice(others)] if number else [])]]
 
 
-def _is_in_region(train: PasDataset, generator: np.random.Generator) -> Bool[NDArray[np.bool_], "N"]:
-    """Whether each row is of one of the transmitters nearest to an outermost one on the floor.
-
-    At the rim of the floor they are farther from the others than in the middle.
-    """
-    place_index, first = np.unique(train.place_index, return_index=True)
-    place_m = train.tx_position_m[first, :2]
-    outwards = 2 * np.pi * generator.random()
-    outermost_m = place_m[np.argmax(place_m @ np.array([np.cos(outwards), np.sin(outwards)]))]
-    away_m = np.linalg.norm(place_m - outermost_m, axis=1)
-    nearest = np.argsort(away_m, kind="stable")[: int(_REGION_SHARE * len(place_index))]
-    return np.isin(train.place_index, place_index[nearest])
-
-
-def _reach(known: TrainingTransmitters, tx_position_m: Float[FloatArray, "B 3"]) -> Int[IntArray, "B"]:
-    """0 where a transmitter has known ones beside it, 1 where it is far from all of them, 2 where it is very far."""
-    return np.digitize(known.away_m(tx_position_m), np.array(_FAR) * known.spacing_m)
-
-
 class Blend:
     """Trivial predictors that know the training rows, and their weights for each kind of query."""
 
     def __init__(self, predictors: Sequence[type], train: PasDataset, choices: Mapping[str, Choice]) -> None:
         self.choices, self.transmitters = choices, TrainingTransmitters(train)
-        needed = {name for choice in choices.values() for name in choice.weights | (choice.obscured or {})}
-        if any(choice.obscured or choice.carrier_hz for choice in choices.values()):
-            needed |= {*_START}
+        needed = {*_START}.union(*(choice.weights | (choice.obscured or {}) for choice in choices.values()))
         self._predictors = _knowing([predictor for predictor in predictors if predictor.__name__ in needed], train)
 
     @classmethod
@@ -203,20 +166,23 @@ class Blend:
         """Learned maps of some queries, blended by the choice for the kind of each."""
         weights = {name: np.zeros(len(carrier_hz), np.float32) for name in (LEARNED, *self._predictors)}
         weights[LEARNED][:] = 1
-        for (kind, is_beyond), asked in self._kinds(tx_position_m, carrier_hz).items():
+        far = self._far(learned, tx_position_m, carrier_hz)
+        # rounded, so that nothing is asked of predictors whose share is rounding alone
+        near = (1 - sum((share for _, share in far), np.zeros(len(carrier_hz)))).round(9)
+        for kind, is_beyond, asked in self._kinds(tx_position_m, carrier_hz):
             weights[LEARNED][asked] = 0
             shares = [*self._shares(kind, is_beyond, carrier_hz[asked])]
-            clear, far = np.ones(len(asked)), self._far_beyond(carrier_hz[asked])
+            clear = np.ones(len(asked))
             if any(choice.obscured for choice, _ in shares):
                 query = tx_position_m[asked], carrier_hz[asked]
                 clear = _clear({name: self._predictors[name].predict(*query)[:, ::STRIDE, ::STRIDE] for name in _START})
-            if far.any():
-                for name, weight in (_FAR_BEYOND if kind == KINDS[0] else _FAR_BEYOND_UNSEEN).items():
-                    weights[name][asked] += weight * far
+            parts = [(of_part, share[asked]) for of_part, share in far]
             for choice, share in shares:
-                for of_part, part in ((choice.weights, clear), (choice.obscured or choice.weights, 1 - clear)):
-                    for name, weight in of_part.items():
-                        weights[name][asked] += weight * share * part * (1 - far)
+                parts.append((choice.weights, near[asked] * share * clear))
+                parts.append((choice.obscured or choice.weights, near[asked] * share * (1 - clear)))
+            for of_part, part in parts:
+                for name in of_part if part.any() else ():
+                    weights[name][asked] += of_part[name] * part
         blended = weights[LEARNED][:, None, None] * learned
         for name, predictor in self._predictors.items():
             if len(at := np.flatnonzero(weights[name])):
@@ -240,34 +206,49 @@ class Blend:
         for nth, choice in enumerate(choices):
             yield choice, np.clip(1 - np.abs(place - nth), 0, 1)
 
-    def _far_beyond(self, carrier_hz: Float[FloatArray, "B"]) -> Float[FloatArray, "B"]:
-        """How far carriers are beyond the band, in octaves and at most 1.
+    def _far(
+        self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
+    ) -> list[tuple[dict[str, float], Float[FloatArray, "B"]]]:
+        """Weights far from all that is known, and the share of each in queries; what is left of 1 is the choices'.
 
-        0 of a single training carrier, and where the predictors are not there that weights far beyond the band are of.
+        Far are carriers an octave beyond the band, unless it is of a single carrier, and transmitters that are
+        `_FAR_SPACINGS` from all trained ones. Of unseen transmitters the line of sight stands alone where the learned
+        maps are unlike it. Nothing is far where the predictors are not there that the weights are of.
         """
-        if len(self.transmitters.carrier_hz) < 2 or not self._predictors.keys() >= {*_START}:
-            return np.zeros(len(carrier_hz))
-        lowest_hz, highest_hz = self.transmitters.carrier_hz[[0, -1]]
-        return np.log2(np.maximum(lowest_hz / carrier_hz, carrier_hz / highest_hz)).clip(0, 1)
+        known = self.transmitters
+        if not self._predictors.keys() >= {*_START}:
+            return []
+        lowest_hz, highest_hz = known.carrier_hz[[0, -1]]
+        octaves = np.log2(np.maximum(lowest_hz / carrier_hz, carrier_hz / highest_hz)) * (lowest_hz < highest_hz)
+        spacings = known.away_m(tx_position_m) / max(known.spacing_m, SAME_TRANSMITTER_M)
+        far = 1 - (1 - octaves.clip(0, 1)) * (1 - np.interp(spacings, _FAR_SPACINGS, (0, 1)))
+        elsewhere, alike = (known.turned_deg(tx_position_m) / _ELSEWHERE_DEG).clip(0, 1), np.ones(len(carrier_hz))
+        if len(at := np.flatnonzero((far > 0) & ~known.knows(tx_position_m))):
+            line_of_sight = self._predictors[LINE_OF_SIGHT].predict(tx_position_m[at], carrier_hz[at])
+            alike[at] = np.interp(similarities(learned[at], line_of_sight), _ALIKE, (0, 1))
+        return [
+            (_FAR, far * alike * (1 - elsewhere)),
+            (_FAR_ELSEWHERE, far * alike * elsewhere),
+            ({LINE_OF_SIGHT: 1.0}, far * (1 - alike)),
+        ]
 
     def _kinds(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
-    ) -> dict[tuple[str, bool], Int[IntArray, "n"]]:
+    ) -> Iterator[tuple[str, bool, Int[IntArray, "n"]]]:
         """The numbers of the queries of each kind, inside the band and beyond it.
 
-        Where there is no choice for their kind, a nearer one's is taken. Those of seen transmitters and carriers are as
-        those of unseen carriers.
+        Those of unseen transmitters at unseen carriers are as those at seen carriers, where there is no choice for
+        them. Those of seen transmitters and carriers are as those of unseen carriers.
         """
-        place = np.where(self.transmitters.knows(tx_position_m), 0, 1 + _reach(self.transmitters, tx_position_m))
         heard_hz, known = self.transmitters.carrier_hz, {*map(_of, self.choices)}
         is_heard, is_beyond = np.isin(carrier_hz, heard_hz), (carrier_hz < heard_hz[0]) | (carrier_hz > heard_hz[-1])
-        of_kind: dict[tuple[str, bool], list[int]] = {}
-        for nth, (where, heard) in enumerate(zip(place.tolist(), is_heard.tolist(), strict=True)):
-            nearer = range(where, min(where, 1) - 1, -1)
-            kinds = [KINDS[max(0, 2 * n - is_too)] for is_too in ((1,) if heard else (0, 1)) for n in nearer]
-            if found := next((kind for kind in kinds if kind in known), None):
-                of_kind.setdefault((found, bool(is_beyond[nth])), []).append(nth)
-        return {kind: np.array(numbers) for kind, numbers in of_kind.items()}
+        unseen = np.where(is_heard | (KINDS[2] not in known), 1, 2)
+        of_query = np.where(self.transmitters.knows(tx_position_m), 0, unseen)
+        for nth, kind in enumerate(KINDS):
+            for beyond in (False, True):
+                asked = np.flatnonzero((of_query == nth) & (is_beyond == beyond))
+                if kind in known and len(asked):
+                    yield kind, beyond, asked
 
 
 def _of(name: str) -> str:

@@ -182,7 +182,7 @@ class LearnedMethod:
             self._training = self.started(train, seed)
         training = self._training
         chosen = self._blend.choices if self._blend else {}
-        holdouts = Holdout.draw(train, seed, budget.max_seconds) if self.config.blend == "auto" else []
+        holdouts = Holdout.draw(train, seed) if self.config.blend == "auto" else []
         holdouts = [holdout for holdout in holdouts if not holdout.rows.keys() & chosen.keys()]
         targets = self._targets(train, training, holdouts)
         if not len(targets):
