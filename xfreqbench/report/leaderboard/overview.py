@@ -168,17 +168,13 @@ def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
     Both are said of the splits that all four rows were run on.
     """
     compared: dict[str, tuple[Board, BoardRow, BoardRow]] = {}
-    for words, pairs in (
-        (
-            "with our aids",
-            (("xfreq-gs (aided=true)", "fixed-frequency-gs (aided=true)"), ("xfreq-gs", "fixed-frequency-gs")),
-        ),
-        ("without them", (("xfreq-gs (aided=false)", "fixed-frequency-gs (aided=false)"),)),
+    for words, pair in (
+        ("with our aids", ("xfreq-gs", "fixed-frequency-gs (aided=true)")),  # whose own settings are without a blend
+        ("without them", ("xfreq-gs (aided=false)", "fixed-frequency-gs (aided=false)")),
     ):
         for board in of_scene:
             rows = {row.short_label: row for row in board.rows}
-            pair = next((pair for pair in pairs if set(pair) <= rows.keys()), None)
-            if board.protocol == "lofo" and pair:
+            if board.protocol == "lofo" and set(pair) <= rows.keys():
                 compared.setdefault(words, (board, rows[pair[0]], rows[pair[1]]))
     every = [row for _, *pair in compared.values() for row in pair]
     shared = [(words, Comparison.of(board, *every), row, other) for words, (board, row, other) in compared.items()]
