@@ -46,6 +46,8 @@ def test_a_name_that_does_not_ship_says_what_does() -> None:
         xb.load("offcie")
     with pytest.raises(DataError, match=r"generate lounge --no-maps -o lounge.h5"):
         xb.load("lounge")
+    with pytest.raises(DataError, match=r"open_dataset\('data/office.h5'\)"):
+        xb.load("data/office.h5")
     with pytest.raises(UnknownNameError, match="https"):
         xb.fetch("nowhere")
 

@@ -48,10 +48,12 @@ def load(name: Word) -> PasDataset:
     """Open the data set of a name, which ships with the toolkit or was fetched before; no network is asked.
 
     Data that ship hold channels, without maps: these are derived when they are read. Raises `UnknownNameError` for a
-    name that there is not, and `DataError` for data that do not ship and were not fetched yet.
+    name that there is not, and `DataError` for data that do not ship and were not fetched yet, and for a file's path.
     """
     known = registered()
     if name not in known:
+        if name.endswith(".h5") or Path(name).is_file():
+            raise DataError(f"load takes the name of a data set. Open a file by xfreqbench.open_dataset({name!r}).")
         if name in shipped_scenes():
             raise DataError(
                 f"The data of scene {name!r} do not ship; those of {', '.join(sorted(known))} do. Trace them once, "

@@ -39,7 +39,7 @@ def draw_disc(
     level_db = 10 * np.log10(np.maximum(pas_map, 10 ** (-range_db / 10)))
     axis.grid(False)  # pcolormesh asks for that
     image = axis.pcolormesh(
-        _edges(grid.azimuth_rad),
+        _edges(grid.azimuth_rad, 2 * np.pi),
         _radius_edges_deg(grid),
         level_db,
         vmin=-range_db,
@@ -59,13 +59,18 @@ def draw_disc(
 
 def _radius_edges_deg(grid: AngularGrid) -> Float[FloatArray, "E1"]:
     """Where the rows of a map begin and end, as degrees from the pole; the row next to the pole reaches it."""
-    edges = np.clip(_edges(90 - np.degrees(grid.elevation_rad)), 0, 90)
+    edges = np.clip(_edges(90 - np.degrees(grid.elevation_rad), 90.0), 0, 90)
     inner, step = edges.argmin(), abs(np.diff(edges)).max()
     edges[inner] = 0 if edges[inner] <= step else edges[inner]
     return edges
 
 
-def _edges(centres: Float[FloatArray, "n"]) -> Float[FloatArray, "n1"]:
-    """The edges of n cells by their centres: halfway between neighbours, and as far beyond the first and the last."""
+def _edges(centres: Float[FloatArray, "n"], whole: float) -> Float[FloatArray, "n1"]:
+    """The edges of n cells by their centres: halfway between neighbours, and as far beyond the first and the last.
+
+    A single cell is the whole axis.
+    """
+    if len(centres) == 1:
+        return centres + np.array([-0.5, 0.5]) * whole
     between = (centres[:-1] + centres[1:]) / 2
     return np.concatenate([[2 * centres[0] - between[0]], between, [2 * centres[-1] - between[-1]]])

@@ -55,6 +55,7 @@ Orientation = tuple[Degrees, Degrees, Degrees]  # bearing, downtilt and slant: s
 _STRICT = ConfigDict(extra="forbid")
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
 UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
+_OF_FILE = ("up", "unit", "outside", "mirrors", "least_patch_area_m2", "least_patch_width_m")  # of a scene
 _ALWAYS_WRITTEN = {"name", "receiver", "description", "surface", "scene"}  # in JSON; other fields if they are given
 
 
@@ -349,6 +350,16 @@ class Scene:
             raise ValueError(
                 f"the receiver lies in plane {self.receiver.plane!r} of its frame; rays are traced to arrays in "
                 "'xy' alone, which is the default: leave the plane out"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _says_of_a_file_only_what_is_there(self) -> Scene:
+        given = [name for name in _OF_FILE if getattr(self, name)]
+        if given and self.scene is None:
+            raise ValueError(
+                f"{given[0]!r} is about the meshes of a file, but the scene names none: name it, as in scene = "
+                f'"room.glb", or leave {given[0]!r} out; lengths of surfaces are in metres'
             )
         return self
 

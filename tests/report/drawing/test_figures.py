@@ -13,7 +13,8 @@ from xfreqbench.report.drawing.figures import draw_disc, is_own_drawing, plot_pa
 
 FIRST_BYTES = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 WHOLE_TURN = AngularGrid(np.radians(np.arange(91)), np.radians(np.arange(-180, 181)))  # both ends of either axis
-GRIDS = [AngularGrid.hemisphere(), AngularGrid.hemisphere(9, 12), WHOLE_TURN]
+ONE_RING = AngularGrid(np.radians([10.0]), np.radians(np.arange(0, 360, 10)))
+GRIDS = [AngularGrid.hemisphere(), AngularGrid.hemisphere(9, 12), WHOLE_TURN, ONE_RING, AngularGrid.hemisphere(9, 1)]
 
 
 def disc(pas_map: np.ndarray, grid: AngularGrid, **options: Any) -> tuple[Any, Any]:
@@ -22,7 +23,7 @@ def disc(pas_map: np.ndarray, grid: AngularGrid, **options: Any) -> tuple[Any, A
     return axis, draw_disc(axis, pas_map.astype(np.float32), grid, **options)
 
 
-@pytest.mark.parametrize("grid", GRIDS, ids=["fine", "coarse", "both ends"])
+@pytest.mark.parametrize("grid", GRIDS, ids=["fine", "coarse", "both ends", "one elevation", "one azimuth"])
 def test_every_value_is_drawn_around_its_direction_and_cells_cover_the_hemisphere_up_to_the_pole(
     grid: AngularGrid,
 ) -> None:
