@@ -178,8 +178,7 @@ def _unit_carriers(low_hz: float, high_hz: float, carrier_hz: list[float]) -> fl
     carrier is 0.
     """
     scaling = Scaling()
-    for band in (scaling.log_band, scaling.heard_log_band):
-        band.copy_(torch.tensor([low_hz, high_hz], dtype=torch.float64).log())
+    scaling.log_band.copy_(torch.tensor([low_hz, high_hz], dtype=torch.float64).log())
     found = scaling.unit_carrier(torch.tensor(carrier_hz, dtype=torch.float64))[:, 0]
     width, inside = math.log1p((high_hz - low_hz) / low_hz), np.clip(carrier_hz, low_hz, high_hz)
     expected = [2 * math.log1p((carrier - low_hz) / low_hz) / width - 1 if width else 0.0 for carrier in inside]

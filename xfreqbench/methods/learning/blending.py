@@ -38,6 +38,9 @@ _START, _START_UNSEEN = (LINE_OF_SIGHT, MEAN_OVER_FREQUENCY), (LINE_OF_SIGHT, LI
 # weights far from all that is known, where the nearest training transmitter is in the same direction, and where not
 _FAR = {LEARNED: 1 / 3, LINE_OF_SIGHT: 1 / 2, MEAN_OVER_FREQUENCY: 1 / 6}
 _FAR_ELSEWHERE = {LEARNED: 1 / 4, LINE_OF_SIGHT: 3 / 4}
+# and of seen ones far below the band, in clear sight and not: walls let more through there, and mirror otherwise
+_FAR_BELOW = {LEARNED: 1 / 8, LINE_OF_SIGHT: 1 / 4, MEAN_OVER_FREQUENCY: 5 / 8}
+_FAR_BELOW_OBSCURED = {LEARNED: 1 / 4, LINE_OF_SIGHT: 5 / 8, MEAN_OVER_FREQUENCY: 1 / 8}
 _ELSEWHERE_DEG = 10.0  # between directions at the receiver
 _FAR_SPACINGS = (1.0, 1.4)  # of the training transmitters, between which one gets far from all of them
 _ALIKE = (0.6, 0.8)  # SSIM of line of sight and learned map, of a transmitter that is far: the latter is wrong below
@@ -174,8 +177,7 @@ class Blend:
             shares = [*self._shares(kind, is_beyond, carrier_hz[asked])]
             clear = np.ones(len(asked))
             if any(choice.obscured for choice, _ in shares):
-                query = tx_position_m[asked], carrier_hz[asked]
-                clear = _clear({name: self._predictors[name].predict(*query)[:, ::STRIDE, ::STRIDE] for name in _START})
+                clear = self._clear_sight(tx_position_m[asked], carrier_hz[asked])
             parts = [(of_part, share[asked]) for of_part, share in far]
             for choice, share in shares:
                 parts.append((choice.weights, near[asked] * share * clear))
@@ -213,7 +215,8 @@ class Blend:
 
         Far are carriers an octave beyond the band, unless it is of a single carrier, and transmitters that are
         `_FAR_SPACINGS` from all trained ones. Of unseen transmitters the line of sight stands alone where the learned
-        maps are unlike it. Nothing is far where the predictors are not there that the weights are of.
+        maps are unlike it; of seen ones below the band weights depend on how clear the sight is. Nothing is far where
+        the predictors are not there that the weights are of.
         """
         known = self.transmitters
         if not self._predictors.keys() >= {*_START}:
@@ -222,15 +225,29 @@ class Blend:
         octaves = np.log2(np.maximum(lowest_hz / carrier_hz, carrier_hz / highest_hz)) * (lowest_hz < highest_hz)
         spacings = known.away_m(tx_position_m) / max(known.spacing_m, SAME_TRANSMITTER_M)
         far = 1 - (1 - octaves.clip(0, 1)) * (1 - np.interp(spacings, _FAR_SPACINGS, (0, 1)))
-        elsewhere, alike = (known.turned_deg(tx_position_m) / _ELSEWHERE_DEG).clip(0, 1), np.ones(len(carrier_hz))
-        if len(at := np.flatnonzero((far > 0) & ~known.knows(tx_position_m))):
+        elsewhere = (known.turned_deg(tx_position_m) / _ELSEWHERE_DEG).clip(0, 1)
+        alike, clear, is_known = np.ones(len(carrier_hz)), np.zeros(len(carrier_hz)), known.knows(tx_position_m)
+        if len(at := np.flatnonzero((far > 0) & ~is_known)):
             line_of_sight = self._predictors[LINE_OF_SIGHT].predict(tx_position_m[at], carrier_hz[at])
             alike[at] = np.interp(similarities(learned[at], line_of_sight), _ALIKE, (0, 1))
+        is_below = is_known & (carrier_hz < lowest_hz)
+        if len(at := np.flatnonzero((far > 0) & is_below)):
+            clear[at] = self._clear_sight(tx_position_m[at], carrier_hz[at])
+        below, far = far * is_below, far * ~is_below
         return [
             (_FAR, far * alike * (1 - elsewhere)),
             (_FAR_ELSEWHERE, far * alike * elsewhere),
             ({LINE_OF_SIGHT: 1.0}, far * (1 - alike)),
+            (_FAR_BELOW, below * clear),
+            (_FAR_BELOW_OBSCURED, below * (1 - clear)),
         ]
+
+    def _clear_sight(
+        self, tx_position_m: Float[FloatArray, "n 3"], carrier_hz: Float[FloatArray, "n"]
+    ) -> Float[FloatArray, "n"]:
+        """How clear the sight of seen transmitters is, from 0 to 1."""
+        query = tx_position_m, carrier_hz
+        return _clear({name: self._predictors[name].predict(*query)[:, ::STRIDE, ::STRIDE] for name in _START})
 
     def _kinds(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]

@@ -39,9 +39,10 @@ class Scaling(nn.Module):
     """The receiver's frame and the box and band of the training data, scaled to [−1, 1].
 
     Positions are relative to the array, in its frame. The box holds all training transmitters and the array, with
-    a margin of `_MARGIN`. A carrier a fifth and more outside the band of the rows that are trained on is taken for the
-    middle of the band, and one nearer to it for something between: nothing extrapolates, and what was learned at an end
-    of the band is of that carrier alone, so that it serves others worse than what is in the middle of all.
+    a margin of `_MARGIN`. The band is that of the rows that are trained on now, for what is learned on a part of an
+    axis is beyond all measure at its far end. A carrier a fifth and more outside the band is taken for the middle of
+    it, and one nearer to it for something between: nothing extrapolates, and what was learned at an end of the band is
+    of that carrier alone, so that it serves others worse than what is in the middle of all.
     """
 
     receiver_m: Tensor
@@ -49,15 +50,13 @@ class Scaling(nn.Module):
     center_m: Tensor
     half_size_m: Tensor
     log_band: Tensor
-    heard_log_band: Tensor
 
     def __init__(self) -> None:
         super().__init__()
         for name, shape in (("receiver_m", 3), ("rotation", (3, 3)), ("center_m", 3), ("half_size_m", 3)):
             self.register_buffer(name, torch.zeros(shape))
         # float64 as carriers are: float32 rounds their logarithm by 2e-6, and a band may be as narrow
-        for name in ("log_band", "heard_log_band"):
-            self.register_buffer(name, torch.zeros(2, dtype=torch.float64))
+        self.register_buffer("log_band", torch.zeros(2, dtype=torch.float64))
 
     def adapt(self, train: PasDataset) -> None:
         """Take the box, the band and the receiver's frame from training rows."""
@@ -68,12 +67,12 @@ class Scaling(nn.Module):
         high = tx_m.amax(dim=0).maximum(torch.zeros(3))
         self.center_m.copy_((low + high) / 2)
         self.half_size_m.copy_((high - low) / 2 * (1 + _MARGIN) + 0.05)
-        self.log_band.copy_(_log_band(train))
         self.hear(train)
 
     def hear(self, train: PasDataset) -> None:
-        """Take note of the rows that are trained on now, of which the outermost carriers may be held out."""
-        self.heard_log_band.copy_(_log_band(train))
+        """Take the band from the rows that are trained on now, of which the outermost carriers may be held out."""
+        log_carrier = torch.as_tensor(train.carrier_hz).log()
+        self.log_band.copy_(torch.stack([log_carrier.min(), log_carrier.max()]))
 
     def in_frame(self, position_m: Float[Tensor, "B 3"]) -> Float[Tensor, "B 3"]:
         """Positions relative to the array in its frame, from world positions, in metres."""
@@ -89,19 +88,19 @@ class Scaling(nn.Module):
         return (position_m - self.center_m) / self.half_size_m
 
     def unit_carrier(self, carrier_hz: Float[Tensor, "B"]) -> Float[Tensor, "B 1"]:
-        """Logarithms of carriers, scaled so that the training band is [−1, 1]; for a band of one carrier, it is 0."""
+        """Logarithms of carriers, scaled so that the band is [−1, 1]; for a band of one carrier, it is 0."""
         return self._unit(carrier_hz.log(), self.log_band) * self._nearness(carrier_hz)
 
     def root_carrier(self, carrier_hz: Float[Tensor, "B"]) -> Float[Tensor, "B 1"]:
-        """Square roots of carriers, scaled so that the training band is [−1, 1]; for a band of one carrier, it is 0.
+        """Square roots of carriers, scaled so that the band is [−1, 1]; for a band of one carrier, it is 0.
 
         Carriers stand more evenly on this axis than on a logarithm, where the lowest have most to say.
         """
         return self._unit(carrier_hz.sqrt(), (self.log_band / 2).exp()) * self._nearness(carrier_hz)
 
     def _nearness(self, carrier_hz: Float[Tensor, "B"]) -> Float[Tensor, "B 1"]:
-        """1 for carriers in the band of the rows that are trained on, and 0 for those far beyond it."""
-        log_carrier, (low, high) = carrier_hz.log(), self.heard_log_band
+        """1 for carriers in the band, and 0 for those far beyond it."""
+        log_carrier, (low, high) = carrier_hz.log(), self.log_band
         beyond = (low - log_carrier).maximum(log_carrier - high).clamp(min=0)
         return (1 - beyond / _REACH).clamp(min=0)[:, None].float()
 
@@ -111,11 +110,6 @@ class Scaling(nn.Module):
         low, high = band
         width = torch.where(high > low, high - low, 1.0)
         return ((2 * carrier.clamp(low, high) - low - high) / width)[:, None].float()
-
-
-def _log_band(train: PasDataset) -> Float[Tensor, "2"]:
-    log_carrier = torch.as_tensor(train.carrier_hz).log()
-    return torch.stack([log_carrier.min(), log_carrier.max()])
 
 
 class FeatureGrid(nn.Module):
