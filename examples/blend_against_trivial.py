@@ -28,6 +28,8 @@ CASES = (  # trained on (None: the nine others), tested at, in GHz, and transmit
     (None, 94, 60),
     (None, 1, 60),
     ((2.4, 10, 24.25, 77), 1, 24),
+    ((10, 24.25, 77), 2.4, 60),
+    ((1, 2.4, 5, 24.25), 10, 60),
     ((1, 10, 77), 24.25, 60),
     (None, 2.4, 60),
     (None, 24.25, 24),
