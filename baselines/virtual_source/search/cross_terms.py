@@ -42,6 +42,7 @@ _MAPS_AT_ONCE = 64
 _MAX_DIRECTIONS = 8192  # of a map that are used; a map of 4×4 elements has 49 degrees of freedom
 _SMALLEST_RESIDUAL = 0.002  # of an element's power; a line of sight without reflections leaves none
 _SMALLEST_SINGULAR = 3e-3  # of the largest; maps of a vertical array do not determine all lag averages
+_LEAST_M = 1e-9  # of a length: a transmitter may stand just where a plane puts the receiver's image
 MIN_EXCESS_CYCLES = 0.5  # with shorter detours the power of the line of sight itself adds up
 
 
@@ -308,7 +309,7 @@ def aligned(
     """
     reference.require_time()
     to_image_m = mirrored_receiver_m - reference.offset_m
-    length_m = np.linalg.norm(to_image_m, axis=1)
+    length_m = np.linalg.norm(to_image_m, axis=1).clip(_LEAST_M)
     cycles = (length_m - reference.distance_m)[:, None] * reference.carrier_hz[carriers] / SPEED_OF_LIGHT_M_S
     is_in_front = 2 * reference.offset_m @ mirrored_receiver_m < mirrored_receiver_m @ mirrored_receiver_m
     counts = (cycles > min_excess_cycles) & is_in_front[:, None]
@@ -321,7 +322,7 @@ def aligned(
 
 def steering(reference: CrossTerms, source_m: Float[FloatArray, "T 3"]) -> Complex[PhasorArray, "T M"]:
     """Steering vectors of plane waves from the directions of sources, positions relative to the array centre."""
-    arrival = source_m @ reference.rotation / np.linalg.norm(source_m, axis=1, keepdims=True)
+    arrival = source_m @ reference.rotation / np.linalg.norm(source_m, axis=1, keepdims=True).clip(_LEAST_M)
     return phasor(arrival @ reference.element_position_wavelengths.T)
 
 

@@ -114,6 +114,14 @@ def test_evidence_peaks_at_the_wall_at_every_carrier_and_is_chance_elsewhere(roo
     assert elsewhere[:, 2:].mean() == pytest.approx(1, abs=0.6)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_transmitter_where_the_receivers_image_is_says_nothing_of_the_plane(room: PasDataset) -> None:
+    reference = CrossTerms.of(room)
+    there = aligned(reference, reference.offset_m[3])
+    assert not there.term[3].any()
+    assert np.isfinite(there.gradient).all() and np.isfinite(there.evidence).all()
+
+
 def test_a_plane_mirrors_points_at_equal_distances_along_its_normal() -> None:
     normal = np.array([2.0, -1.0, 2.0]) / 3
     mirrored_receiver_m = 2 * 1.7 * normal
