@@ -233,7 +233,7 @@ def assert_mixed(
         np.testing.assert_allclose(blend.maps(learned, *query), mixed / mixed.max(), atol=1e-6)
 
 
-def test_an_octave_beyond_the_band_no_carrier_chooses_any_more(train: PasDataset) -> None:
+def test_an_octave_above_the_band_no_carrier_chooses_any_more(train: PasDataset) -> None:
     chosen = {at(KINDS[0], 1e9): Choice(weights={"Nearest": 1.0}, carrier_hz=1e9)}
     half = {"Nearest": 1 / 2} | {name: weight / 2 for name, weight in FAR.items()}
     assert_mixed(train, chosen, (1e9, 10e9, 37e9), {"Nearest": 1.0})

@@ -113,9 +113,7 @@ def test_carriers_stand_evenly_on_the_axis_of_roots() -> None:
 
 
 @pytest.mark.parametrize("axis", [Scaling.unit_carrier, Scaling.root_carrier])
-def test_carriers_a_fifth_beyond_the_band_that_was_heard_are_taken_for_the_middle(
-    axis: Callable[[Scaling, Tensor], Tensor],
-) -> None:
+def test_carriers_a_fifth_beyond_the_band_are_taken_for_the_middle(axis: Callable[[Scaling, Tensor], Tensor]) -> None:
     box = scaling()
     carrier_hz = torch.tensor([5.0, 60.0, 94.0, 94 * 1.2**0.5, 94 * 1.2, 300.0, 1 / 1.1, 0.1]).double() * 1e9
     inside, outside = axis(box, carrier_hz)[:, 0].split([3, 5])

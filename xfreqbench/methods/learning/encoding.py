@@ -39,8 +39,8 @@ class Scaling(nn.Module):
     """The receiver's frame and the box and band of the training data, scaled to [−1, 1].
 
     Positions are relative to the array, in its frame. The box holds all training transmitters and the array, with
-    a margin of `_MARGIN`. The band is that of the rows that are trained on now, for what is learned on a part of an
-    axis is beyond all measure at its far end. A carrier a fifth and more outside the band is taken for the middle of
+    a margin of `_MARGIN`. The band is that of the rows that are trained on now: what is learned on a part of an axis
+    is far too large at its far end. A carrier a fifth and more outside the band is taken for the middle of
     it, and one nearer to it for something between: nothing extrapolates, and what was learned at an end of the band is
     of that carrier alone, so that it serves others worse than what is in the middle of all.
     """
