@@ -288,3 +288,11 @@ def test_a_bell_of_one_angle_is_its_formula_in_value_and_gradient(full_turn: boo
         answers.append([bell, *torch.autograd.grad((bell * weight.to(kind)).sum(), given)])
     for found, expected in zip(*answers, strict=True):
         assert float((found - expected).norm().detach()) < 1e-5 * float(expected.norm().detach())
+
+
+def test_far_tails_of_bells_are_zero_so_that_no_product_of_two_is_denormal() -> None:
+    angle_rad, deviation_rad = torch.linspace(-math.pi, math.pi, 60), torch.tensor([0.05])
+    across, along = (bells(angle_rad, torch.tensor([centre_rad]), deviation_rad) for centre_rad in (0.0, 0.5))
+    product = across.mT @ along
+    assert 9 < product.count_nonzero() < product.numel() / 2
+    assert bool(((product == 0) | (product >= torch.finfo(torch.float32).tiny)).all())

@@ -40,6 +40,7 @@ TURN_RAD = 2 * math.pi
 HALF = np.float32(0.5)
 LOG2_E = np.float32(math.log2(math.e))
 LEAST_LOG2 = np.float32(-124)  # keeps G a normal number
+LEAST_BELL = np.float32(2**-40)  # a smaller bell is 0: products of two would be denormal, and slow on some processors
 TAYLOR_2 = tuple(np.float32(math.log(2) ** power / math.factorial(power)) for power in range(7))
 
 
@@ -316,12 +317,16 @@ def _from_centre(angle: np.float32, centre: np.float32, turns: np.float32) -> np
 
 @entry(parallel=True, fastmath=FAST, error_model="numpy")
 def bells(angle: F32, centre: F32, deviation: F32, turns: np.float32, bell: F32) -> None:
-    """Write exp(−½ (angle − centre)² / deviation²) at K angles around each of M centres to `bell` (M, K)."""
+    """Write exp(−½ (angle − centre)² / deviation²) at K angles around each of M centres to `bell` (M, K).
+
+    Far tails, below 2^-40, are zero.
+    """
     for nth in prange(len(centre)):
         sharpness = np.float32(1) / deviation[nth]
         for k in range(len(angle)):
             u = _from_centre(angle[k], centre[nth], turns) * sharpness
-            bell[nth, k] = _exponential(-HALF * u * u)
+            height = _exponential(-HALF * u * u)
+            bell[nth, k] = height if height >= LEAST_BELL else np.float32(0)
 
 
 @entry(parallel=True, fastmath=FAST, error_model="numpy")
