@@ -236,11 +236,12 @@ def test_a_byte_order_mark_is_no_part_of_a_scene(tmp_path: Path, encoding: str) 
         load_scene(tmp_path / "box.toml")
 
 
-def test_unknown_scenes_and_materials_name_the_nearest() -> None:
+def test_unknown_scenes_and_materials_name_the_nearest(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="Did you mean 'office'"):
         load_scene("offcie")
-    with pytest.raises(UnknownNameError, match="Did you mean 'concrete'"):
-        parse_scene(BOX.replace('"concrete"', '"conrete"'))
+    (tmp_path / "box.toml").write_text(BOX.replace('"concrete"', '"conrete"', 1), encoding="utf-8")
+    with pytest.raises(SceneError, match=r"box\.toml: (.|\n)*surface 'floor': .* Did you mean 'concrete'"):
+        load_scene(tmp_path / "box.toml")
     with pytest.raises(SceneError, match="cannot be read"):
         load_scene("no/such/place.toml")
 

@@ -99,6 +99,11 @@ def test_options_have_the_names_of_python_and_their_older_ones() -> None:
         assert app.parse_args(f"generate empty -o x.h5 {word} 2.4", exit_on_error=False)[1].arguments["freqs"] == "2.4"
 
 
+@pytest.mark.parametrize("words", ["a b", "--results a --results b"])
+def test_folders_of_results_are_given_alone_or_by_name(words: str) -> None:
+    assert app.parse_args(f"report {words}", exit_on_error=False)[1].arguments["results"] == ["a", "b"]
+
+
 def test_a_dry_run_prints_counts_size_and_time_and_writes_and_starts_nothing(tmp_path: Path) -> None:
     words = f"generate empty --tx 10 --freqs 1,94 --dry-run -o {tmp_path / 'x.h5'} --executor dask://nowhere:8786"
     done = xfreqbench(*words.split())

@@ -37,6 +37,7 @@ app = App(
     error_formatter=_refusal,
     help="How well does a radiance-field method predict channels at carriers it was never trained on?",
     suppress_keyboard_interrupt=False,
+    default_parameter=Parameter(negative_iterable=()),  # no --empty-set beside --set
 )
 # Groups of the commands in --help, in this order.
 GROUPS = DATA, RUN, RESULTS, EXCHANGE, ADVANCED, PLUGINS, _OTHERS = tuple(

@@ -275,7 +275,7 @@ def benchmark(
     folder = planned.results_dir
     pages = folder / "pages" if preset.startswith("paper") else None  # that of the paper's tables among them
     page = folder / "benchmark.html" if planned.scenes else None  # it shows boards, which rooms have not
-    report(str(folder), output=folder / "BENCHMARK.md", html=page, details=pages, quiet=quiet)
+    report([str(folder)], output=folder / "BENCHMARK.md", html=page, details=pages, quiet=quiet)
     if failures:
         number = f"{len(failures)} of its parts failed; the same command tries them again."
         raise XFreqBenchError("\n".join([number, *failures]))
@@ -283,7 +283,8 @@ def benchmark(
 
 @app.command(group=RESULTS, help_epilogue=example("report results -o BENCHMARK.md --html page.html"))
 def report(
-    *results: str,
+    results: list[str],
+    *,
     output: Output = Path("BENCHMARK.md"),
     html: Annotated[
         Path | None,
@@ -319,8 +320,6 @@ def report(
     from xfreqbench.report.leaderboard.report import write_report
     from xfreqbench.report.leaderboard.results import read_results, results_at
 
-    if not results:
-        raise XFreqBenchError("report takes one results folder or more, as in: xfreqbench report results")
     found = read_results([*map(results_at, results)])
     earlier = None if since is None else results_at(since)
     written = write_report(found, output, details, earlier)

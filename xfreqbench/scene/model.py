@@ -374,9 +374,11 @@ class Scene:
             if twice:
                 raise ValueError(f"two {kind}s are named {twice[0]!r}; every {kind} needs its own name")
         for material in self.material:
-            material_named(material.name, self.materials)
+            with _fault_of(f"material {material.name!r}"):
+                material_named(material.name, self.materials)
         for surface in self.surface:
-            self.slab_of(surface)
+            with _fault_of(f"surface {surface.name!r}"):
+                self.slab_of(surface)
         return self
 
     @property
@@ -528,6 +530,15 @@ def validated(kind: type[Parsed], content: dict[str, Any], what: str) -> Parsed:
     """The content of a file of scenes as a scene or a family; raises `SceneError` that lists every fault."""
     with form_errors(what):
         return TypeAdapter(kind).validate_python(content)
+
+
+@contextmanager
+def _fault_of(what: str) -> Iterator[None]:
+    """A block in which an unknown name is a fault of form, told with `what` has it."""
+    try:
+        yield
+    except UnknownNameError as error:
+        raise ValueError(f"{what}: {error}") from error
 
 
 @contextmanager

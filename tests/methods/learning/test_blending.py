@@ -163,7 +163,11 @@ def test_maps_that_are_right_in_one_half_each_are_mixed_half_and_half(train: Pas
 
 
 def test_transmitters_whose_sight_is_obscured_have_weights_of_their_own(train: PasDataset, holdout: Holdout) -> None:
-    """The line of sight and the mean are right where the sight is clear, the learned maps where it is obscured."""
+    """The line of sight and the mean are right where the sight is clear, the learned maps where it is obscured.
+
+    A predictor is asked for a map once, though it says where the sight is clear and has a share of the maps too.
+    """
+    asked: list[tuple[object, ...]] = []
     truth, is_clear = truth_of(train), dict(zip(train.tx_position_m[:, 0], train.tx_index % 2 == 0, strict=True))
 
     def right_where(sight: bool, flip: int) -> Callable[..., np.ndarray]:
@@ -178,6 +182,7 @@ def test_transmitters_whose_sight_is_obscured_have_weights_of_their_own(train: P
         right = staticmethod(right_where(True, flip=2))
 
         def predict(self, tx_position_m: np.ndarray, carrier_hz: np.ndarray) -> np.ndarray:
+            asked.extend((type(self), *query) for query in zip(tx_position_m[:, 0], carrier_hz, strict=True))
             every = train.grid.shape[0] // self.transmitters.train.grid.shape[0]
             return self.right(tx_position_m, carrier_hz)[:, ::every, ::every]
 
@@ -190,7 +195,9 @@ def test_transmitters_whose_sight_is_obscured_have_weights_of_their_own(train: P
     assert choice.obscured == {LEARNED: 1}
     at_held_out = train.subset((train.carrier_hz == choice.carrier_hz) & train.has_path)
     query = at_held_out.tx_position_m, at_held_out.carrier_hz
+    asked.clear()
     np.testing.assert_allclose(blend.maps(right_where(False, 1)(*query), *query), at_held_out.pas(), atol=1e-6)
+    assert len(asked) == len(set(asked)) == 2 * len(at_held_out)
 
 
 def test_a_choice_reads_each_map_once(train: PasDataset, holdout: Holdout, monkeypatch: pytest.MonkeyPatch) -> None:

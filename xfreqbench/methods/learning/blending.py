@@ -117,6 +117,29 @@ def _drawn_carriers(inner_hz: Float[FloatArray, "F"], generator: np.random.Gener
     return inner_hz[[*ends, *([generator.choice(others)] if number else [])]]
 
 
+class _Predicted:
+    """Maps that trivial predictors have of B queries, each predicted once: when it is first asked for."""
+
+    def __init__(
+        self, predictors: Mapping[str, Any], tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
+    ) -> None:
+        self._predictors, self.tx_position_m, self.carrier_hz = predictors, tx_position_m, carrier_hz
+        self._maps: dict[str, Maps] = {}
+        self._is_there = {name: np.zeros(len(carrier_hz), bool) for name in predictors}
+
+    def maps(self, name: str, at: Int[IntArray, "n"]) -> Float[Maps, "n E A"]:
+        """A predictor's maps of some of the queries, by their numbers."""
+        if len(new := at[~self._is_there[name][at]]):
+            maps = self._predictors[name].predict(self.tx_position_m[new], self.carrier_hz[new])
+            self._maps.setdefault(name, np.empty((len(self.carrier_hz), *maps.shape[1:]), maps.dtype))[new] = maps
+            self._is_there[name][new] = True
+        return self._maps[name][at]
+
+    def clear_sight(self, at: Int[IntArray, "n"]) -> Float[FloatArray, "n"]:
+        """How clear the sight of seen transmitters is, from 0 to 1, at some of the queries."""
+        return _clear({name: self.maps(name, at)[:, ::STRIDE, ::STRIDE] for name in _START})
+
+
 class Blend:
     """Trivial predictors that know the training rows, and their weights for each kind of query."""
 
@@ -167,9 +190,10 @@ class Blend:
 
     def maps(self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]) -> Maps:
         """Learned maps of some queries, blended by the choice for the kind of each."""
+        predicted = _Predicted(self._predictors, tx_position_m, carrier_hz)
         weights = {name: np.zeros(len(carrier_hz), np.float32) for name in (LEARNED, *self._predictors)}
         weights[LEARNED][:] = 1
-        far = self._far(learned, tx_position_m, carrier_hz)
+        far = self._far(learned, predicted)
         # rounded, so that nothing is asked of predictors whose share is rounding alone
         near = (1 - sum((share for _, share in far), np.zeros(len(carrier_hz)))).round(9)
         for kind, is_beyond, asked in self._kinds(tx_position_m, carrier_hz):
@@ -177,7 +201,7 @@ class Blend:
             shares = [*self._shares(kind, is_beyond, carrier_hz[asked])]
             clear = np.ones(len(asked))
             if any(choice.obscured for choice, _ in shares):
-                clear = self._clear_sight(tx_position_m[asked], carrier_hz[asked])
+                clear = predicted.clear_sight(asked)
             parts = [(of_part, share[asked]) for of_part, share in far]
             for choice, share in shares:
                 parts.append((choice.weights, near[asked] * share * clear))
@@ -186,10 +210,9 @@ class Blend:
                 for name in of_part if part.any() else ():
                     weights[name][asked] += of_part[name] * part
         blended = weights[LEARNED][:, None, None] * learned
-        for name, predictor in self._predictors.items():
+        for name in self._predictors:
             if len(at := np.flatnonzero(weights[name])):
-                maps = predictor.predict(tx_position_m[at], carrier_hz[at])
-                blended[at] += weights[name][at, None, None] * maps
+                blended[at] += weights[name][at, None, None] * predicted.maps(name, at)
         return scaled(blended)
 
     def _shares(
@@ -208,9 +231,7 @@ class Blend:
         for nth, choice in enumerate(choices):
             yield choice, np.clip(1 - np.abs(place - nth), 0, 1)
 
-    def _far(
-        self, learned: Maps, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
-    ) -> list[tuple[dict[str, float], Float[FloatArray, "B"]]]:
+    def _far(self, learned: Maps, predicted: _Predicted) -> list[tuple[dict[str, float], Float[FloatArray, "B"]]]:
         """Weights far from all that is known, and the share of each in queries; what is left of 1 is the choices'.
 
         Far are carriers an octave beyond the band, unless it is of a single carrier, and transmitters that are
@@ -218,7 +239,7 @@ class Blend:
         maps are unlike it; of seen ones below the band weights depend on how clear the sight is. Nothing is far where
         the predictors are not there that the weights are of.
         """
-        known = self.transmitters
+        known, tx_position_m, carrier_hz = self.transmitters, predicted.tx_position_m, predicted.carrier_hz
         if not self._predictors.keys() >= {*_START}:
             return []
         lowest_hz, highest_hz = known.carrier_hz[[0, -1]]
@@ -228,11 +249,10 @@ class Blend:
         elsewhere = (known.turned_deg(tx_position_m) / _ELSEWHERE_DEG).clip(0, 1)
         alike, clear, is_known = np.ones(len(carrier_hz)), np.zeros(len(carrier_hz)), known.knows(tx_position_m)
         if len(at := np.flatnonzero((far > 0) & ~is_known)):
-            line_of_sight = self._predictors[LINE_OF_SIGHT].predict(tx_position_m[at], carrier_hz[at])
-            alike[at] = np.interp(similarities(learned[at], line_of_sight), _ALIKE, (0, 1))
+            alike[at] = np.interp(similarities(learned[at], predicted.maps(LINE_OF_SIGHT, at)), _ALIKE, (0, 1))
         is_below = is_known & (carrier_hz < lowest_hz)
         if len(at := np.flatnonzero((far > 0) & is_below)):
-            clear[at] = self._clear_sight(tx_position_m[at], carrier_hz[at])
+            clear[at] = predicted.clear_sight(at)
         below, far = far * is_below, far * ~is_below
         return [
             (_FAR, far * alike * (1 - elsewhere)),
@@ -241,13 +261,6 @@ class Blend:
             (_FAR_BELOW, below * clear),
             (_FAR_BELOW_OBSCURED, below * (1 - clear)),
         ]
-
-    def _clear_sight(
-        self, tx_position_m: Float[FloatArray, "n 3"], carrier_hz: Float[FloatArray, "n"]
-    ) -> Float[FloatArray, "n"]:
-        """How clear the sight of seen transmitters is, from 0 to 1."""
-        query = tx_position_m, carrier_hz
-        return _clear({name: self._predictors[name].predict(*query)[:, ::STRIDE, ::STRIDE] for name in _START})
 
     def _kinds(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
