@@ -129,7 +129,7 @@ def test_sionna_is_given_own_materials_as_they_are(tmp_path: Path) -> None:
     ],
 )
 def test_a_table_of_materials_without_sense_is_refused(table: str, message: str) -> None:
-    with pytest.raises((SceneError, UnknownNameError), match=message):
+    with pytest.raises(SceneError, match=message):
         parse_scene(f'name = "test"\n{PLACES}[[material]]\n{table}\n')
 
 

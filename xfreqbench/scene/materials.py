@@ -8,7 +8,8 @@ test compares it with Sionna's. Beside them stand materials of a scene's own, wh
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -202,6 +203,15 @@ def material_bands(material: Material) -> tuple[Band, ...]:
     return ITU_MATERIALS[material]
 
 
+@contextmanager
+def fault_of(what: str) -> Iterator[None]:
+    """A block in which an unknown name is a fault of form, told with `what` has it."""
+    try:
+        yield
+    except UnknownNameError as error:
+        raise ValueError(f"{what}: {error}") from error
+
+
 @pydantic_dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class SceneLayer:
     """A layer of a material: a material of P.2040 (`vacuum` for air), or of the scene, that has no layers itself."""
@@ -249,7 +259,8 @@ class SceneMaterial:
         if is_preset and self.thickness_m is not None:
             raise ValueError(f"material {self.name!r} has layers, whose thickness is theirs; leave thickness_m out")
         if not is_own and not is_preset:
-            material_bands(self.itu or self.name)
+            with fault_of(f"material {self.name!r}"):
+                material_bands(self.itu or self.name)
         return self
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from xfreqbench.data.plan import plan_generation
-from xfreqbench.errors import MaterialBandError, SceneError, UnknownNameError
+from xfreqbench.errors import MaterialBandError, SceneError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import (
@@ -182,31 +182,21 @@ layers = [{material = "glass", thickness_m = 0.004}, {material = "vacuum", thick
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "error", "message"),
+    ("old", "new", "message"),
     [
-        ('material = "window",', 'material = "glass",', SceneError, "surface 'wall' of 'glass' needs a thickness_m"),
-        ('material = "window",', 'material = "window", thickness_m = 0.02,', SceneError, "'window' are 0.016 m thick"),
-        (
-            "layers =",
-            'itu = "glass"\nthickness_m = 1\nlayers =',
-            SceneError,
-            "'window' has layers and itu and thickness_m",
-        ),
-        ('"vacuum"', '"stud-wall"', SceneError, "a layer of material 'window' is 'stud-wall', which has layers itself"),
-        ('"vacuum"', '"vacum"', UnknownNameError, "Did you mean 'vacuum'"),
-        ('material = "window",', 'material = "double-glasing",', UnknownNameError, "Did you mean 'double-glazing'"),
-        ('[{material = "glass"', "[] #", SceneError, "layers: Tuple should have at least 1 item"),
-        (
-            "thickness_m = 0.012",
-            "thickness_m = 0",
-            SceneError,
-            r"layers\.1\.thickness_m: Input should be greater than 0",
-        ),
-        ('name = "window"\nl', 'name = "stud-wall"\nthickness_m = 1 #', SceneError, "leave thickness_m out"),
+        ('material = "window",', 'material = "glass",', "surface 'wall' of 'glass' needs a thickness_m"),
+        ('material = "window",', 'material = "window", thickness_m = 0.02,', "'window' are 0.016 m thick"),
+        ("layers =", 'itu = "glass"\nthickness_m = 1\nlayers =', "'window' has layers and itu and thickness_m"),
+        ('"vacuum"', '"stud-wall"', "a layer of material 'window' is 'stud-wall', which has layers itself"),
+        ('"vacuum"', '"vacum"', "material 'window': There is no .* Did you mean 'vacuum'"),
+        ('material = "window",', 'material = "double-glasing",', "surface 'wall': There is no .* 'double-glazing'"),
+        ('[{material = "glass"', "[] #", "layers: Tuple should have at least 1 item"),
+        ("thickness_m = 0.012", "thickness_m = 0", r"layers\.1\.thickness_m: Input should be greater than 0"),
+        ('name = "window"\nl', 'name = "stud-wall"\nthickness_m = 1 #', "leave thickness_m out"),
     ],
 )
-def test_layers_that_mean_nothing_are_refused_by_name(old: str, new: str, error: type[Exception], message: str) -> None:
-    with pytest.raises(error, match=message):
+def test_layers_that_mean_nothing_are_refused_by_name(old: str, new: str, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
         parse_scene(SCENE.replace(old, new))
 
 
