@@ -23,7 +23,7 @@ def bells(
 ) -> Float[Tensor, "*shape K"]:
     """exp(−½ (angle − centre)² / deviation²); with `full_turn`, angles are taken the short way round.
 
-    In float32 on a CPU, this is a compiled kernel.
+    In float32 on a CPU, this is a compiled kernel, which sets far tails to zero.
     """
     if centre_rad.device.type == "cpu" and centre_rad.dtype == torch.float32:
         return _Kernels.apply(angle_rad, centre_rad, deviation_rad, full_turn)  # type: ignore[no-untyped-call]
