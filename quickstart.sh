@@ -7,15 +7,10 @@ say() { printf '\n== %s\n' "$*"; }
 methods=${METHODS:-line-of-sight,nearest,mean-over-frequency,log-frequency,frequency-embedded-gs,xfreq-gs,aperture-gs}
 budget=${BUDGET:-quick} data=data/office-quick.h5 results=results/quickstart
 
-if ! [[ .venv/bin/xfreqbench -nt pyproject.toml && .venv/bin/xfreqbench -nt constraints.txt ]]; then
-    say "Installing, and compiling what traces rays; three minutes, half of it downloads"
-    [ -x .venv/bin/python ] || "${PYTHON:-$(command -v python3.11 || command -v python3)}" -m venv .venv
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
-    # Side by side: the first compiles the kernels for single paths, the second those for channels.
-    .venv/bin/xfreqbench view office --quiet --output .venv/first_view >/dev/null &
-    .venv/bin/xfreqbench generate office --tx 1 --dry-run --output "$data" >/dev/null
-    wait $!
+if ! [ -e .venv/installed ]; then
+    say "Installing 3 GB (8 GB where there is an NVIDIA GPU), and compiling what traces rays; three minutes and the download"
 fi
+.ci/environment
 
 say "Tracing ${NUM_TX:-120} transmitters of the office at 10 carriers, from 1 to 94 GHz; ten seconds"
 .venv/bin/xfreqbench generate office --tx "${NUM_TX:-120}" --output "$data"

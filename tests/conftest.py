@@ -1,4 +1,4 @@
-"""Shapes and types of every annotated function are checked while tests run."""
+"""Shapes and types of every annotated function are checked while tests run, where `CHECK_TYPES` is set: in CI."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import gc
 import os
 import signal
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.support.typechecking import calls, check_first_calls
+from tests.support.typechecking import CHECKS_TYPES, calls, check_first_calls
 
 if TYPE_CHECKING:
     from xfreqbench.data.dataset import PasDataset
@@ -42,8 +43,9 @@ MODULES = {
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 os.fsync = lambda descriptor: None  # processes are killed here, but no machine, so that nothing need be on the disk
-jaxtyping.jaxtyped = check_first_calls
-jaxtyping.install_import_hook(sorted(MODULES), "tests.support.typechecking.typechecker")
+if CHECKS_TYPES:
+    jaxtyping.jaxtyped = check_first_calls
+    jaxtyping.install_import_hook(sorted(MODULES), "tests.support.typechecking.typechecker")
 # no case is decided by a clock: the machine may be busy, and first calls compile and import
 settings.register_profile("unhurried", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("unhurried")
@@ -64,6 +66,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with slow tests come first, so that at the end no worker waits for a long one of another."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say at the end what was left out, and what it needs."""
+    skipped = terminalreporter.stats.get("skipped", ())
+    reasons = Counter(str(report.longrepr[2]).removeprefix("Skipped: ") for report in skipped)
+    for reason, number in reasons.most_common():
+        terminalreporter.line(f"left out: {number} tests, since {reason}")
 
 
 @pytest.fixture(scope="session")

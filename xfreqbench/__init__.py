@@ -14,6 +14,9 @@ from xfreqbench.system.callable_package import hinted
 
 if sys.platform == "win32":
     raise ImportError("xfreqbench runs on Linux. On Windows, install it in WSL: run wsl --install, and pip there.")
+_clone = os.path.dirname(os.path.dirname(__file__))
+if os.path.isfile(os.path.join(_clone, "pyproject.toml")):  # there `baselines`, `scenes`, `examples` lie beside this folder
+    __path__.append(_clone)
 settle_caches()  # before any library looks for its own
 
 # Before OpenMP starts: threads that wait give their core up, unless OMP_WAIT_POLICY asks for more. By default they keep

@@ -26,7 +26,7 @@ _FLAGS = (
 _WITHOUT_WEBGL = ("--disable-gpu", "--disable-3d-apis")
 _WITH_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")  # on the processor
 WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
-needs_chromium = pytest.mark.skipif(_CHROMIUM is None, reason="there is no chromium to open the page with")
+needs_chromium = pytest.mark.skipif(_CHROMIUM is None, reason="there is no chromium (Debian: apt-get install chromium)")
 
 
 @contextmanager

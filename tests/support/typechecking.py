@@ -8,6 +8,7 @@ sixteenth more than three.
 from __future__ import annotations
 
 import inspect
+import os
 from collections import Counter
 from collections.abc import Callable
 from functools import cache, partial, wraps
@@ -16,6 +17,7 @@ from typing import Any
 import jaxtyping
 from beartype import BeartypeConf, beartype
 
+CHECKS_TYPES = bool(os.getenv("CHECK_TYPES"))  # a sixth of the time of the tests
 NUM_CHECKED = 3  # calls of each function in each test
 typechecker = beartype(conf=BeartypeConf(is_pep484_tower=True))  # an int is accepted as a float
 calls: Counter[int] = Counter()  # in the test that runs, by the identity of a function's code

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
 import tomllib
 from functools import partial
+from importlib.metadata import distribution
 from pathlib import Path
 from subprocess import DEVNULL
 
@@ -13,6 +15,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from tests.support.places import ROOT
+from tests.support.prediction_files import hand_out, write_predictions
+from tests.support.synthetic import paper_dataset
 
 PURELIB = "import sysconfig; print(sysconfig.get_path('purelib'))"
 FIRST_STEPS = """
@@ -24,6 +28,42 @@ assert data.pas(3).max() == 1 and "nearest" in xb.methods() and "lounge" in xb.s
 xb.run(data, "nearest", targets_ghz=[10], results="results", budget="3steps")
 assert results_at("v1").is_relative_to(sys.prefix)
 """
+
+SPLIT_SCORE_REPORT = """
+import sys
+from xfreqbench.cli.main import main
+for line in sys.stdin:
+    sys.argv[1:] = line.split()
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code, line
+assert not {"torch", "mitsuba", "numba", "sionna"} & set(sys.modules)
+"""
+
+
+def environment(folder: Path, *paths: str | Path) -> Path:
+    """The Python of an environment that has nothing but what lies in these folders."""
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
+    python = folder / "bin/python"
+    site = Path(subprocess.run([python, "-c", PURELIB], check=True, capture_output=True, text=True).stdout.strip())
+    (site / "paths.pth").write_text("\n".join(map(str, paths)))
+    return python
+
+
+def link_distributions(names: list[str], folder: Path) -> None:
+    """Link what these distributions, and all that they require, have installed here into a folder."""
+    seen: set[str] = set()
+    while names:
+        if (name := canonicalize_name(names.pop())) in seen:
+            continue
+        seen.add(name)
+        found = distribution(name)
+        needed = map(Requirement, found.requires or [])
+        names += [each.name for each in needed if not each.marker or each.marker.evaluate({"extra": ""})]
+        tops = {path.parts[0] for path in found.files or [] if path.parts[0] != ".."}
+        for top in tops - {entry.name for entry in folder.iterdir()} - {"__pycache__"}:
+            (folder / top).symlink_to(found.locate_file(top))
 
 
 def test_every_package_and_the_mark_of_its_types_is_in_the_wheel() -> None:
@@ -39,11 +79,12 @@ def test_every_package_and_the_mark_of_its_types_is_in_the_wheel() -> None:
 def test_what_the_tests_run_with_is_what_the_package_allows() -> None:
     """`constraints.txt` pins versions of dependencies; `pyproject.toml` says which ones may be installed."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    lines = (ROOT / "constraints.txt").read_text().splitlines()
-    pinned = dict(line.split("==") for line in lines if "==" in line and not line.startswith("#"))
-    pinned = {canonicalize_name(name): version.strip() for name, version in pinned.items()}
-    for needed in map(Requirement, project["dependencies"]):
+    pinned = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().splitlines())
+    pinned = {canonicalize_name(name): version for name, version in pinned.items()}
+    extras = [needed for name, needed in project["optional-dependencies"].items() if name not in {"deepmimo", "peers"}]
+    for needed in map(Requirement, sum(extras, project["dependencies"])):
         assert needed.specifier.contains(pinned[canonicalize_name(needed.name)]), needed
+        assert "==" not in str(needed.specifier), f"{needed}: versions are pinned in constraints.txt alone"
 
 
 def test_windows_is_told_what_runs_it() -> None:
@@ -80,10 +121,48 @@ def test_the_wheel_of_the_source_archive_works_outside_the_clone(tmp_path: Path)
     made = sorted((tmp_path / "dist").iterdir())
     assert [path.suffix for path in made] == [".whl", ".gz"]
     run([sys.executable, "-m", "twine", "check", "--strict", *made])
-    run([sys.executable, "-m", "venv", "--without-pip", "clean"])
-    clean = tmp_path / "clean/bin/python"
-    site = Path(run([clean, "-c", PURELIB], capture_output=True, text=True).stdout.strip())
-    (site / "dependencies.pth").write_text("\n".join(path for path in sys.path if path.endswith("site-packages")))
+    clean = environment(tmp_path / "clean", *(path for path in sys.path if path.endswith("site-packages")))
     run([sys.executable, "-m", "pip", "--python", clean, "install", "--quiet", "--no-deps", "--no-index", made[0]])
     run([clean, "-W", "error", "-c", FIRST_STEPS])
     run([clean.with_name("xfreqbench"), "report", "results", "-o", "board.md", "-q"])
+
+
+@pytest.mark.slow
+def test_predictions_are_scored_without_pytorch_and_without_a_ray_tracer(tmp_path: Path) -> None:
+    """In an environment that has only what docs/submit.md says."""
+    installed = re.search(
+        r"pip install --constraint constraints.txt (cyclopts.*?)\n    pip",
+        (ROOT / "docs/submit.md").read_text(),
+        re.DOTALL,
+    )
+    assert installed
+    (tmp_path / "site").mkdir()
+    link_distributions(installed[1].replace("\\", " ").split(), tmp_path / "site")
+    data = paper_dataset(tmp_path / "data.h5", num_tx=5)
+    write_predictions(tmp_path / "maps.h5", hand_out(data, tmp_path / "same.h5"))
+    python = environment(tmp_path / "small", tmp_path / "site", ROOT)
+    commands = [
+        "split --data data.h5 -o split.h5",
+        "score maps.h5 --data data.h5 --results results",
+        "report results -o board.md --html page.html",
+        "compare results results",
+    ]
+    subprocess.run([python, "-c", SPLIT_SCORE_REPORT], input="\n".join(commands), text=True, check=True, cwd=tmp_path)
+    assert "mine (external)" in (tmp_path / "board.md").read_text("utf-8")
+
+
+@pytest.mark.slow
+def test_a_clone_is_imported_from_the_folder_that_holds_it(tmp_path: Path) -> None:
+    """There Python finds a folder of the package's name before it asks the hooks of other editable installations."""
+    clone = tmp_path / "xfreqbench"
+    clone.mkdir()
+    for name in ("xfreqbench", "baselines", "scenes", "examples", "pyproject.toml", "README.md", "LICENSE"):
+        (clone / name).symlink_to(ROOT / name)
+    python = environment(tmp_path / "clean", *(path for path in sys.path if path.endswith("site-packages")))
+    install = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", "--no-index"]
+    subprocess.run([*install, "--no-build-isolation", "--editable", clone], check=True)
+    program = (
+        "import xfreqbench as xb; from xfreqbench import baselines; print(xb.generate.__name__, baselines.__file__)"
+    )
+    run = subprocess.run([python, "-c", program], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert run.stdout.split() == ["generate", str(clone / "baselines/__init__.py")]
