@@ -16,6 +16,7 @@ from xfreqbench.runs.records import read
 from xfreqbench.scene.model import load_scene
 
 
+@pytest.mark.slow
 def test_executors_are_compared_on_the_same_bytes(tmp_path: Path) -> None:
     plan = plan_generation(load_scene("empty"), [1e9], num_transmitters=2 * BATCH)
     work = scale_out._Generation(plan, tmp_path)

@@ -64,6 +64,7 @@ def test_savings_of_the_maps_change_rounding_alone(work: Workload) -> None:
         assert float(saving.change.rpartition(" ")[2]) <= MAP_ROUNDING
 
 
+@pytest.mark.slow
 @pytest.mark.sionna
 def test_savings_of_sionna_leave_the_maps_where_they_were(work: Workload) -> None:
     sionna = replace(work.few(2, 2), settings=replace(work.settings, solver="sionna"))

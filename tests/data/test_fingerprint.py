@@ -57,7 +57,12 @@ def apart(one: PasDataset, other: PasDataset) -> float:
     return float((off / length).max())
 
 
-@pytest.mark.parametrize("name", shipped_scenes())
+QUICK = {"corridor", "empty", "office", "two_rooms"}  # the others take ten seconds each
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in shipped_scenes()]
+)
 def test_the_channels_of_today_are_those_of_the_fingerprint(name: str) -> None:
     """Where this fails by more than digits, `PHYSICS_VERSION` has to be raised, and the fingerprints made anew."""
     scene = PreparedScene.of(load_scene(name))
@@ -80,6 +85,7 @@ def test_a_traced_file_has_the_recipe_of_the_fingerprint(usual: PasDataset) -> N
     assert replace(match, difference=0.0).difference_db == -np.inf
 
 
+@pytest.mark.slow
 def test_without_a_compiler_or_with_one_thread_only_digits_change(tmp_path: Path) -> None:
     """Kernels that Python runs itself have no instructions of a processor, and no sums in another order."""
     np.savetxt(tmp_path / "tx.csv", TRANSMITTERS_M, fmt="%.17g", delimiter=",")

@@ -37,7 +37,7 @@ def two_receivers() -> Scene:
     return replace(scene, receiver=first, other_receivers=(ReceiverArray((4.0, 2.0, 1.1), **SMALL, name="low"),))
 
 
-SOLVERS = ["image", pytest.param("sionna", marks=pytest.mark.sionna)]
+SOLVERS = ["image", pytest.param("sionna", marks=[pytest.mark.sionna, pytest.mark.slow])]
 
 
 @pytest.fixture(scope="module", params=SOLVERS)
@@ -127,6 +127,7 @@ def few(path: Path, **changes: Any) -> PasDataset:
     return xb.generate(scene, path, **{**how, "receiver": "all", "polarization": ["HV", "VV"], **changes})
 
 
+@pytest.mark.slow
 def test_a_killed_generation_of_several_links_ends_in_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -181,6 +182,7 @@ def test_what_links_cannot_be_asked_for_is_refused(tmp_path: Path) -> None:
         xb.generate(replace(two_receivers(), other_receivers=(other,)), tmp_path / "x.h5", receiver="all")
 
 
+@pytest.mark.slow
 def test_runs_on_different_links_have_different_records(tmp_path: Path) -> None:
     dataset = few(tmp_path / "data.h5", tx=24, polarization=["VV", "VH"])
     how = {"methods": ["nearest"], "protocol": "held-out-tx", "results": tmp_path / "results"}

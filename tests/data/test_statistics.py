@@ -151,6 +151,7 @@ def test_free_space_has_the_path_loss_of_friis_and_nothing_but_the_direct_path(t
         assert np.isnan(row["k_factor_db"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius_wavelengths", [0.3, 1.0])
 def test_the_local_mean_is_the_mean_power_of_transmitters_on_the_disc(
     tmp_path: Path, radius_wavelengths: float

@@ -127,6 +127,7 @@ def test_a_second_benchmark_in_one_folder_is_refused_before_it_writes_anything(t
     assert not results.exists() or not list(results.iterdir())
 
 
+@pytest.mark.slow
 def test_a_measurement_that_fails_is_named_and_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     planned = plan_benchmark("small", folder / "data", folder / "measured")
     monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("bench", "stress", "--only", "ten octaves"), 1))

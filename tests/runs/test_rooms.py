@@ -48,6 +48,7 @@ def results(rooms: Collection, tmp_path_factory: pytest.TempPathFactory) -> Path
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("one_thread")
 def test_room_lags_finds_in_seconds_that_walls_mirror(results: Path) -> None:
     found = {
@@ -64,6 +65,7 @@ def test_room_lags_finds_in_seconds_that_walls_mirror(results: Path) -> None:
     assert found["nearest", "heard-0"].scores == found["line-of-sight", "heard-0"].scores  # nothing to copy
 
 
+@pytest.mark.slow
 def test_stored_sums_over_lags_are_scored_as_the_maps_that_were_predicted(results: Path, rooms: Collection) -> None:
     record = next(stored for stored in ResultsFolder(results).records if stored.job.method == "line-of-sight")
     question = next(room_splits(rooms, "unseen-rooms")[0].questions())
@@ -97,6 +99,7 @@ def test_one_fit_serves_all_numbers_heard_and_finished_rooms_are_kept(
     assert all(record.counts[runner.ROOM_SECONDS] > 0 for record in records)
 
 
+@pytest.mark.slow
 def test_the_report_has_tables_by_number_heard_carrier_type_and_sight_and_a_curve_over_rooms(results: Path) -> None:
     by_number, by_carrier, by_type, by_sight, curve = read_results(results).benches
     learned = f"room-lags {' '.join(SMALL)}"
@@ -119,6 +122,7 @@ def test_the_report_has_tables_by_number_heard_carrier_type_and_sight_and_a_curv
     assert len(shown.splitlines()) <= 12 and f"| {learned} " in shown
 
 
+@pytest.mark.slow
 def test_other_seeds_collections_and_commits_have_rows_tables_and_names_of_their_own(results: Path) -> None:
     stored = read_records(results)
     again = [record.model_copy(update={"job": replace(record.job, seed=1)}) for record in stored]
@@ -174,6 +178,7 @@ def test_methods_of_one_room_learn_from_what_is_heard_of_a_new_one(rooms: Collec
     assert all(record.counts[runner.ROOM_SECONDS] > 0 for record in records)
 
 
+@pytest.mark.slow
 def test_a_method_that_learns_across_rooms_is_checked_and_asks_for_rooms(
     rooms: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

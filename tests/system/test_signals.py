@@ -46,6 +46,7 @@ main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.sionna
 def test_ctrl_c_while_sionna_rt_is_imported_ends_in_one_line(tmp_path: Path) -> None:
     command = [sys.executable, "-c", IMPORT_SIONNA]

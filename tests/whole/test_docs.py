@@ -73,6 +73,7 @@ def test_every_block_of_a_document_does_what_it_says(document: Path, tmp_path: P
                 reader.shell(shlex.join(["xfreqbench", *command]))
 
 
+@pytest.mark.slow
 @pytest.mark.sionna
 def test_sionna_rt_deviates_as_its_page_says(tmp_path: Path) -> None:
     """Where this fails with a later Sionna RT, a deviation has been mended: take it off the page."""

@@ -42,6 +42,7 @@ def moved_to_their_machine(results: Path) -> None:
         append(path, record)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("one_thread")
 def test_results_of_two_machines_make_one_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -302,6 +302,7 @@ def test_a_data_set_of_little_is_learned_from(what: str, tmp_path: Path) -> None
     np.testing.assert_allclose(maps.max(axis=(1, 2)), 1, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_room_that_was_found_tells_of_a_carrier_that_was_not_heard(tmp_path: Path) -> None:
     scene = closed_room(ReceiverArray(position_m=(2.1, 1.7, 2.5)), [("concrete", 0.2)] * 6)
     carrier_hz = np.array([1e9, 2.4e9, 5e9, 10e9, 24.25e9, 47.2e9, 77e9])

@@ -54,6 +54,7 @@ def box(room: list[RoomSurface], low_m: list[float], high_m: list[float]) -> Roo
     return frame.surface(np.sort(corners_m, axis=0), 99, NamedSlab("metal", 0.002, 0.0))
 
 
+@pytest.mark.slow
 def test_displaced_and_tilted_walls_are_put_back(
     dataset: PasDataset, room: list[RoomSurface], lags: LagAverages
 ) -> None:

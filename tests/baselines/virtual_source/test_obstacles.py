@@ -112,6 +112,7 @@ def test_a_box_is_put_where_something_is(dataset: PasDataset, monkeypatch: pytes
     assert Refinement.resumed(stored, dataset).as_json() == told.as_json()
 
 
+@pytest.mark.slow
 def test_a_box_takes_the_place_of_its_echo(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is put to the floor and to where path lengths agree, and an upright face within it goes."""
     monkeypatch.setattr(refine, "WAYS_M", (dict.fromkeys(boxes.WAYS_M[0], ()),))
@@ -155,6 +156,7 @@ def test_boxes_that_overlap_are_tried_as_one(dataset: PasDataset, monkeypatch: p
     assert shared(np.sort(frame.box_of(crate) @ frame.axes, axis=0)) > 0.99
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unsettled")
 def test_another_round_goes_on_in_the_room_that_was_found(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     """Boxes are sought in that room, and those that it has are fitted again."""
@@ -175,6 +177,7 @@ def test_another_round_goes_on_in_the_room_that_was_found(dataset: PasDataset, m
     assert again.score(again.room) > told.score(told.room)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_last_steps")
 def test_no_box_is_put_where_nothing_is(empty_room: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     told = refinement(empty_room)

@@ -137,6 +137,7 @@ def wrong_room() -> dict[str, object]:
     return {**findings, "faces": faces}
 
 
+@pytest.mark.slow
 def test_what_training_rows_contradict_is_changed(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(changes, "_DEPTHS_M", (0.3,))
     monkeypatch.setattr(changes, "_THINNER", (1.0,))
@@ -151,6 +152,7 @@ def test_what_training_rows_contradict_is_changed(dataset: PasDataset, monkeypat
     assert [surface.slab.material for surface in told.room] == [surface.material for surface in SCENE.surface]
 
 
+@pytest.mark.slow
 def test_a_partition_of_two_sheets_is_found_by_parts_of_its_front(tmp_path: Path) -> None:
     sheet = Surface("front", "plasterboard", 0.0125, (3.4, 0.0, 0.0), (3.4, 2.5, 2.6))
     back = replace(sheet, name="back", min_m=(3.5, 0.0, 0.0), max_m=(3.5, 2.5, 2.6))
@@ -177,6 +179,7 @@ def test_a_partition_of_two_sheets_is_found_by_parts_of_its_front(tmp_path: Path
     assert partition.slab_name == "plasterboard 12.50 mm"
 
 
+@pytest.mark.slow
 def test_faces_are_changed_again_once_boxes_are_in_their_places(
     dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:

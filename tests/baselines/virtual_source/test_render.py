@@ -216,6 +216,7 @@ def test_a_budget_of_too_few_maps_is_spent_on_learning_alone(mode: Any, dataset:
     assert render.count.maps == 0
 
 
+@pytest.mark.slow
 def test_a_refinement_spends_maps_of_a_budget_and_goes_on_from_a_file(
     dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

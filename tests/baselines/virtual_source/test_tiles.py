@@ -95,6 +95,7 @@ def test_a_wall_of_one_slab_has_nothing_to_move() -> None:
     assert list(with_patches(0, room_with(with_door(1.0, 2.0, 2.0)))) == []
 
 
+@pytest.mark.slow
 def test_a_door_is_put_where_paths_tell_of_it(tmp_path: Path) -> None:
     others = [surface for surface in SCENE.surface if surface.name != "north"]
     scene = replace(SCENE, surface=(*others, *wall_of(*with_door(1.0, 2.0, 2.0))))

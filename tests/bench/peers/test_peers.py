@@ -43,6 +43,7 @@ def require_same_answers(theirs: type, **options) -> None:
     assert differences_db(ours.channels(positions_m), channels).min() > 50  # of single precision and rays
 
 
+@pytest.mark.slow
 @pytest.mark.sionna
 def test_path_solver_has_our_paths_and_channels() -> None:
     require_same_answers(PathSolver, batch=2, rays=50_000)
@@ -59,6 +60,7 @@ def test_paths_are_paired_one_to_one() -> None:
     assert missed(np.zeros(0), np.array([1.0]), 0.1) == (1, 0.0)
 
 
+@pytest.mark.slow
 def test_a_solver_is_timed_in_a_process_of_its_own() -> None:
     result = measured(PeerTask("image", 12, 1, num_tx=4, seconds=60.0))
     assert result is not None and result.channel.shape == (4, 16)

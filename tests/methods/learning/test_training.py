@@ -73,6 +73,7 @@ def test_our_adam_makes_the_steps_of_torchs() -> None:
     assert torch.equal(ours, theirs)
 
 
+@pytest.mark.slow
 def test_a_fit_neither_imports_torchs_compiler_nor_changes_its_number_of_threads(dataset: PasDataset) -> None:
     code = f"""
 import sys, torch

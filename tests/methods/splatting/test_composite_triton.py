@@ -63,6 +63,7 @@ for got, right in zip(answer(False), answer(True), strict=True):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=[pytest.mark.gpu, on_a_device])])
 @pytest.mark.parametrize("sets", [1, 3], ids=["one", "several"])
 def test_tiles_of_directions_give_field_and_gradients_of_lists_in_double_precision(device: str, sets: int) -> None:

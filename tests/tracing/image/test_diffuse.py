@@ -53,6 +53,7 @@ def powers(paths: Paths) -> NDArray[np.float64]:
     return powers_of(paths.gain[0], paths.arrival, paths.interactions)
 
 
+@pytest.mark.slow
 def test_a_lambertian_floor_scatters_what_lamberts_law_says() -> None:
     """P.2040's metal at 10 GHz reflects .999 of the power; of metal Lambert's law is reciprocal."""
     back = replace(ONE_ELEMENT, position_m=tuple(TX_M))

@@ -44,6 +44,7 @@ def test_what_is_scattered_is_missing_from_the_specular_reflection() -> None:
     np.testing.assert_allclose(reflected[1:], 0.8 * reflected[0], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_every_octant_has_the_mean_power_of_the_public_solver() -> None:
     """Over 20 seeds, in a room of three rough materials of three patterns, from the same rays."""
     from xfreqbench.tracing.sionna.forward import ForwardRays
@@ -68,6 +69,7 @@ def test_every_octant_has_the_mean_power_of_the_public_solver() -> None:
     assert (ours[0] > 0.3 * ours[1]).sum() >= 4  # scattering matters in half of the octants at least
 
 
+@pytest.mark.slow
 def test_no_path_is_left_out_however_the_elements_are_divided(monkeypatch: pytest.MonkeyPatch) -> None:
     """One seed is one set of rays for the whole array, whether elements are solved together or one by one."""
     from xfreqbench.tracing.sionna import forward

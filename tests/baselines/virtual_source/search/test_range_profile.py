@@ -49,6 +49,7 @@ def tried(times: int) -> Callable[[], bool]:
     return lambda: next(left, None) is None
 
 
+@pytest.mark.slow
 def test_a_search_whose_time_is_over_ends_with_planes_that_it_would_have_found_anyway(
     room: PasDataset, searched: tuple[list[Plane], int]
 ) -> None:
@@ -95,6 +96,7 @@ def test_standard_deviations_cover_errors(found: list[Plane]) -> None:
         assert tilt_rad(plane.normal, wall) < 4 * plane.tilt_std_rad
 
 
+@pytest.mark.slow
 def test_maps_of_eight_bits_tell_the_planes_that_channels_tell(tmp_path: Path) -> None:
     assert_found(find_planes(ROOM.stored_maps(tmp_path, "amplitude", 255), 0), WALLS)
 
@@ -119,12 +121,14 @@ def test_a_wall_at_right_angles_to_the_only_one_known_is_found_too(tmp_path: Pat
     assert tilt_rad(plane.normal, CORNER) < 5e-4
 
 
+@pytest.mark.slow
 def test_transmitters_in_one_layer_make_no_floor_and_no_ceiling(tmp_path: Path) -> None:
     """A path from the floor is as long as one from a ceiling as far above the layer, and an array may hear both."""
     layer = replace(ROOM, walls=(WALL, SIDE, FLOOR), corners_m=((0.3, 0.3, 1.2), (6.2, 4.9, 1.2)))
     assert_found(find_planes(layer.stored(tmp_path), 0), (WALL, SIDE))
 
 
+@pytest.mark.slow
 def test_conjugated_channels_come_from_elsewhere_and_have_no_planes(tmp_path: Path) -> None:
     assert find_planes(ROOM.stored(tmp_path, ROOM.cfr().conj()), 0) == []
 
@@ -145,6 +149,7 @@ def test_few_transmitters_tell_of_walls_that_all_of_them_see(tmp_path: Path) -> 
     assert len(planes) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("num_tx", "walls"), [(36, (WALL, CORNER, FLOOR)), (33, (CORNER, FLOOR))])
 def test_fewer_tell_of_more_walls_than_show_by_themselves(num_tx: int, walls: Sequence[Wall], tmp_path: Path) -> None:
     """Of 36 one wall shows, and what is at right angles to it; of 33 none does, but where it may be is guessed."""

@@ -51,6 +51,7 @@ def test_a_slanted_wall_a_leaning_wall_and_a_leaning_floor_are_found_and_nothing
     assert_found(found_in(room), WALLS)
 
 
+@pytest.mark.slow
 def test_planes_are_found_without_the_lowest_carrier_and_some_rows_too(room: PasDataset) -> None:
     is_kept = (room.carrier_hz > 2e9) & ((room.tx_index % 7 > 0) | (room.carrier_hz != 5e9))
     assert_found(found_in(room.subset(np.flatnonzero(is_kept))), WALLS)
@@ -68,6 +69,7 @@ def test_maps_do_not_tell_which_way_delays_run() -> None:
     np.testing.assert_allclose(forwards, backwards, atol=1e-5)  # single precision
 
 
+@pytest.mark.slow
 def test_two_walls_at_a_corner_are_not_taken_for_a_third_one(tmp_path: Path) -> None:
     walls = Wall(0.0, 0.0, 4.2), Wall(90.0, 0.0, 3.3)
     corner = replace(ROOM, walls=walls)
@@ -79,6 +81,7 @@ def test_maps_without_amplitudes_tell_the_planes_too(tmp_path: Path) -> None:
     assert_found(found_in(ROOM.stored_maps(tmp_path, "phase-only", 65535)), WALLS)
 
 
+@pytest.mark.slow
 def test_a_vertical_array_finds_the_planes_too(tmp_path: Path) -> None:
     assert_found(found_in(replace(ROOM, receiver=UPRIGHT_RECEIVER).stored(tmp_path)), WALLS)
 
@@ -89,6 +92,7 @@ def test_few_transmitters_and_none_give_no_planes_and_no_errors(tmp_path: Path, 
     assert not len(found_in(ROOM.stored(tmp_path, np.zeros_like(ROOM.cfr()))))
 
 
+@pytest.mark.slow
 def test_one_carrier_is_searched_too(room: PasDataset) -> None:
     one = room.subset(np.flatnonzero(room.carrier_hz == 2.4e9))
     found = found_in(one)
