@@ -6,6 +6,7 @@ used. Everything else may change.
 
 import os
 import sys
+from pathlib import Path
 
 import lazy_loader as lazy
 
@@ -14,9 +15,8 @@ from xfreqbench.system.callable_package import hinted
 
 if sys.platform == "win32":
     raise ImportError("xfreqbench runs on Linux. On Windows, install it in WSL: run wsl --install, and pip there.")
-_clone = os.path.dirname(os.path.dirname(__file__))
-if os.path.isfile(os.path.join(_clone, "pyproject.toml")):  # there `baselines`, `scenes`, `examples` lie beside this folder
-    __path__.append(_clone)
+# In a clone `baselines`, `scenes` and `examples` lie beside this folder; in a wheel they lie in it.
+__path__ = [*__path__, *(str(up) for up in Path(__path__[0]).parents[:1] if (up / "pyproject.toml").is_file())]
 settle_caches()  # before any library looks for its own
 
 # Before OpenMP starts: threads that wait give their core up, unless OMP_WAIT_POLICY asks for more. By default they keep

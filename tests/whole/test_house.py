@@ -34,7 +34,7 @@ def test_the_init_of_a_folder_is_a_docstring(path: Path) -> None:
         for node in ast.walk(parsed)
         if isinstance(node, ast.Import | ast.ImportFrom)
     }
-    assert imported <= {"lazy_loader", "os", "sys", "xfreqbench"}
+    assert imported <= {"lazy_loader", "os", "pathlib", "sys", "xfreqbench"}
 
 
 def test_every_folder_with_sources_is_a_package() -> None:

@@ -214,6 +214,7 @@ def _is_idle(path: Path, source: bytes) -> bool:
 
 _IDLE_BEGINNINGS = (
     "from __future__ ",
+    "from pathlib ",
     "from typing ",
     "import lazy_loader",
     "import os",
