@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -244,6 +245,32 @@ def test_unknown_scenes_and_materials_name_the_nearest(tmp_path: Path) -> None:
         load_scene(tmp_path / "box.toml")
     with pytest.raises(SceneError, match="cannot be read"):
         load_scene("no/such/place.toml")
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "nearest"),
+    [
+        ("[receiver]", "row = 8", "receiver.row: There is no key 'row'. Did you mean 'rows'? Choose one of: antenna_"),
+        ("[transmitters]", "step = 0.5", "transmitters.step: There is no key 'step'. Did you mean 'step_m'?"),
+        (
+            "[[surface]]",
+            "thickness = 1",
+            "surface.0.thickness: There is no key 'thickness'. Did you mean 'thickness_m'?",
+        ),
+        ("[receiver]", "polarisation = 'H'", "Did you mean 'polarization'?"),
+        ('name = "box"', "recievers = 1", "recievers: There is no key 'recievers'. Did you mean 'receiver'?"),
+        ("[receiver]", "[[receiver]]\nname = 'one'\nboresite = 1", "Did you mean 'boresight'?"),
+        (
+            'name = "box"',
+            "[[material]]\nname = 'a'\n[[material.layers]]\nmaterials = 'b'\n",
+            "Did you mean 'material'?",
+        ),
+    ],
+)
+def test_an_unknown_key_of_a_table_names_the_nearest_and_all(table: str, key: str, nearest: str) -> None:
+    content = key if key.startswith("[[rec") else f"{table}\n{key}"
+    with pytest.raises(SceneError, match=re.escape(nearest)):
+        parse_scene(BOX.replace(table, content, 1))
 
 
 def test_a_users_mitsuba_scene_gives_the_same_meshes(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from xfreqbench.cli.options import (
     EXCHANGE,
+    TARGETS,
     Output,
     Quiet,
     ScoredOnOption,
@@ -209,10 +210,7 @@ def split(
     ] = "lofo",
     targets: Annotated[
         str | None,
-        Parameter(
-            name=["--targets-ghz", "--targets"],
-            help="Held-out carriers in GHz, comma-separated, or `all`; default 2.4,24.25,77.",
-        ),
+        Parameter(name=TARGETS, help="Held-out carriers in GHz, comma-separated, or `all`; default 2.4,24.25,77."),
     ] = None,
     on: ScoredOnOption = "test",
     maps: Annotated[
@@ -227,8 +225,8 @@ def split(
     from xfreqbench.exchange.split_file import Handout, write_handout
     from xfreqbench.system.bars import progress_bars
 
-    dataset = open_dataset(data)
-    handout = Handout(dataset, make_splits(dataset, protocol, parse_targets_ghz(targets), on), maps)
+    targets_ghz, dataset = parse_targets_ghz(targets), open_dataset(data)
+    handout = Handout(dataset, make_splits(dataset, protocol, targets_ghz, on), maps)
     with progress_bars("maps", ["writing"] if maps else [], quiet) as bars:
         is_new = write_handout(handout, output, *bars)
     names = ", ".join(split.name for split in handout.splits)
