@@ -259,11 +259,11 @@ def score(
     with progress_bars("maps", ["checking", "scoring"], quiet) as (checking, scoring):
         scored = score_file(predictions, data, results, method, checking, scoring)
     if scored.missing:
-        say(f"{predictions} does without {', '.join(scored.missing)}, which its protocol has too", quiet)
+        say(f"{predictions} has nothing for {', '.join(scored.missing)}, which its protocol tests too", quiet)
     for silent in scored.silent:
         say(f"every map of {silent} in {predictions} is zero. Was each divided by its maximum before it was rounded?")
     if not scored.is_data_known:
-        say(f"without dataset_sha256, {predictions} is taken to be of {data}", quiet)
+        say(f"{predictions} has no dataset_sha256, so it is assumed to be of {data}", quiet)
     say(
         f"{leaderboard_summary(ranked_beside(results, scored.records))}\n\nEvery metric: xfreqbench report {results}",
         quiet,

@@ -261,7 +261,7 @@ def make_splits(
             targets_hz = list(map(ghz_to_hz, targets_ghz or LOFO_TARGETS_GHZ))
         splits = _lofo_splits(dataset, protocol, list(dict.fromkeys(targets_hz)))
     elif targets_ghz is not None:
-        raise ProtocolError(f"Protocol {protocol!r} chooses what it tests; leave the targets out.")
+        raise ProtocolError(f"Protocol {protocol!r} has no targets to choose; leave them out.")
     elif protocol == "sparse":
         splits = _sparse_splits(dataset)
     elif protocol == HELD_OUT_RECEIVER:
@@ -321,7 +321,8 @@ def _lofo_splits(dataset: PasDataset, protocol: str, targets_hz: Sequence[float]
     if missing_hz := [carrier for carrier in targets_hz if carrier not in present_hz]:
         raise ProtocolError(
             f"Protocol {protocol!r} needs {format_ghz_list(missing_hz)}, but the data set has "
-            f"{format_ghz_list(present_hz)}. Choose targets that it has, or generate those carriers too."
+            f"{format_ghz_list(present_hz)}. Choose among these, as in --targets {present_hz[0] / 1e9:.12g}, or "
+            "generate data with the others too."
         )
     splits = []
     for target_hz in targets_hz:

@@ -47,8 +47,9 @@ class Task:
         takes_others = isinstance(task.method, ReceiverMethod) and task.method.takes_other_receivers
         if split.receivers and not takes_others:
             raise MethodError(
-                f"Method {job.method!r} predicts the receiver that it was trained at alone; protocol "
-                f"{split.protocol!r} takes methods that set takes_other_receivers, as line-of-sight and nearest do."
+                f"Method {job.method!r} can only predict the receiver that it was trained at, but protocol "
+                f"{split.protocol!r} tests another. Run methods that set takes_other_receivers, as line-of-sight "
+                "and nearest do."
             )
         return task
 
@@ -124,7 +125,7 @@ class Task:
     def method_errors(self, part: str) -> Iterator[None]:
         """Turn whatever the method raises in `part`, such as "fit", into a `MethodError` that says where."""
         failed = f"Method {self.job.method!r} failed in {part} on split {self.split.name!r}:"
-        with method_code(failed, "Mend it and run the same command again; finished jobs are kept."):
+        with method_code(failed, "Fix it and run the same command again; finished jobs are kept."):
             yield
 
 
