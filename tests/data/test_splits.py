@@ -144,6 +144,9 @@ def test_a_target_outside_of_the_trained_band_is_extrapolated(dataset: PasDatase
 def test_a_protocol_by_the_name_that_others_give_it_is_told(dataset: PasDataset, said: str, name: str) -> None:
     with pytest.raises(UnknownNameError, match=f"Did you mean '{name}'"):
         make_splits(dataset, said)
+
+
+def test_an_unknown_split_or_part_names_the_known_ones(dataset: PasDataset) -> None:
     with pytest.raises(UnknownNameError, match="Did you mean 'lofo-77GHz'"):
         find_split(dataset, "lofo", "lofo-78GHz")
     with pytest.raises(ArgumentError, match="'test' or 'validation'"):

@@ -109,19 +109,24 @@ def test_the_chosen_transmitters_depend_on_the_seed_alone() -> None:
         choose_transmitters(placement, 10_000, seed=3)
 
 
-def test_a_receiver_or_transmitter_inside_an_object_names_it() -> None:
+def test_a_receiver_inside_an_object_names_it() -> None:
     scene = parse_scene(BOX.replace("[2.0, 2.0, 2.5]", "[2.0, 2.0, 1.0]"))
-    meshes = surface_meshes(scene)
     with pytest.raises(PlacementError, match=r"Receiver.*inside 'cabinet'"):
-        check_receiver(scene, meshes, 1e9)
-    with pytest.raises(PlacementError, match=r"Transmitter 1 stands inside 'cabinet'"):
-        check_transmitters(scene, meshes, np.array([[0.2, 0.2, 1.0], [2.0, 2.0, 0.5]]), [1e9])
-    with pytest.raises(PlacementError, match=r"Transmitter 0 stands 5\.0 mm from a surface"):
-        check_transmitters(scene, meshes, np.array([[0.5, 0.5, -0.095]]), [1e9])
-    with pytest.raises(PlacementError, match="finite"):
-        check_transmitters(scene, meshes, np.array([[np.nan, 0.5, 1.0]]), [1e9])
-    with pytest.raises(PlacementError, match="at least one"):
-        check_transmitters(scene, meshes, np.zeros((0, 3)), [1e9])
+        check_receiver(scene, surface_meshes(scene), 1e9)
+
+
+@pytest.mark.parametrize(
+    ("tx_m", "words"),
+    [
+        ([[0.2, 0.2, 1.0], [2.0, 2.0, 0.5]], "Transmitter 1 stands inside 'cabinet'"),
+        ([[0.5, 0.5, -0.095]], r"Transmitter 0 stands 5\.0 mm from a surface"),
+        ([[np.nan, 0.5, 1.0]], "finite"),
+        (np.zeros((0, 3)), "at least one"),
+    ],
+)
+def test_a_transmitter_where_none_can_be_is_named(tx_m: list[list[float]], words: str) -> None:
+    with pytest.raises(PlacementError, match=words):
+        check_transmitters(BOX_SCENE, surface_meshes(BOX_SCENE), np.array(tx_m), [1e9])
 
 
 @pytest.mark.parametrize("carrier_hz", [1e9, 94e9])
