@@ -266,6 +266,11 @@ def test_unknown_scenes_and_materials_name_the_nearest(tmp_path: Path) -> None:
         ('name = "box"', "recievers = 1", "recievers: There is no key 'recievers'. Did you mean 'receiver'?"),
         ("[receiver]", "[[receiver]]\nname = 'one'\nboresite = 1", "Did you mean 'boresight'?"),
         (
+            "[receiver]",
+            "[[receiver]]\nposition_m = [1, 1, 1]\nname = 'one'\n[[receiver]]\nrow = 1",
+            "receiver.1.row: There",
+        ),
+        (
             'name = "box"',
             "[[material]]\nname = 'a'\n[[material.layers]]\nmaterials = 'b'\n",
             "Did you mean 'material'?",

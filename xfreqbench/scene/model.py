@@ -540,9 +540,16 @@ def form_errors(what: str, kind: type) -> Iterator[None]:
         yield
     except ValidationError as error:
         faults = "\n".join(
-            f"  {'.'.join(map(str, fault['loc'])) or what}: {_fault_words(kind, fault)}" for fault in error.errors()
+            f"  {_place(*fault['loc']) or what}: {_fault_words(kind, fault)}" for fault in error.errors()
         )
         raise SceneError(f"the {what} has no valid form:\n{faults}") from error
+
+
+def _place(*location: int | str) -> str:
+    """Where in a file a fault is, as in `receiver.1.rows`: the other receivers of a scene are `[[receiver]]` there."""
+    if location[:1] == ("other_receivers",) and len(location) > 1:
+        location = ("receiver", int(location[1]) + 1, *location[2:])
+    return ".".join(map(str, location))
 
 
 def _fault_words(kind: type, fault: Any) -> str:
