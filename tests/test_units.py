@@ -1,7 +1,8 @@
-"""Carriers are given in GHz, and whoever gives hertz is asked."""
+"""Carriers are given in GHz, and whoever gives another unit is asked."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from xfreqbench.cli.options import parse_carriers_hz
 from xfreqbench.errors import ArgumentError, XFreqBenchError
 from xfreqbench.units import MAX_CARRIER_GHZ, ghz_to_hz
 
-QUESTION = r"at most 1,000, and not 2\.425e\+10\. Was that hertz\? Then it is 24\.25 in GHz"
+QUESTION = r"at most 1,000, and not 2\.425e\+10\. Was that hertz\? Then it is 24\.25 GHz"
 
 
 def test_gigahertz_become_whole_hertz() -> None:
@@ -23,6 +24,22 @@ def test_gigahertz_become_whole_hertz() -> None:
 def test_what_is_no_carrier_is_refused(carrier_ghz: float) -> None:
     with pytest.raises(ValueError, match="a number above 0"):
         ghz_to_hz(carrier_ghz)
+
+
+@pytest.mark.parametrize(
+    ("given", "question"),
+    [
+        (2400, "Was that MHz? Then it is 2.4 GHz"),
+        (94e3, "Was that MHz? Then it is 94 GHz"),
+        (2.4e6, "Was that kHz? Then it is 2.4 GHz"),
+        (868e6, "Was that hertz? Then it is 0.868 GHz"),
+        (94e9, "Was that hertz? Then it is 94 GHz"),
+        (1e15, "Was that hertz? Then it is 1e+06 GHz"),
+    ],
+)
+def test_the_unit_that_is_asked_for_is_one_that_makes_a_carrier(given: float, question: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(question)):
+        ghz_to_hz(given)
 
 
 def test_whoever_gives_hertz_is_asked_in_python_and_on_the_command_line(tmp_path: Path) -> None:

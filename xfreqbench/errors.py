@@ -55,15 +55,22 @@ _OTHER_WORDS = {  # what others say, and the name of it here
 }
 
 
+def did_you_mean(given: str, choices: Iterable[str]) -> str:
+    """A question behind an error, as in ` Did you mean 'nearest'?`; empty where nothing is like what was given."""
+    known = list(choices)
+    meant = _OTHER_WORDS.get(given.lower().replace("_", "-").replace(" ", "-"))
+    nearest = [meant] if meant in known else difflib.get_close_matches(given, known, n=1, cutoff=0.4)
+    return f" Did you mean {nearest[0]!r}?" if nearest else ""
+
+
 class UnknownNameError(XFreqBenchError):
     """There is no such `kind` of thing as `given`; the message names the nearest of `choices`, and all of them."""
 
     def __init__(self, kind: str, given: str, choices: Iterable[str]) -> None:
-        known = sorted(choices)
-        meant = _OTHER_WORDS.get(given.lower().replace("_", "-").replace(" ", "-"))
-        nearest = [meant] if meant in known else difflib.get_close_matches(given, known, n=1, cutoff=0.4)
-        hint = f" Did you mean {nearest[0]!r}?" if nearest else ""
-        super().__init__(f"There is no {kind} {given!r}.{hint} Choose one of: {', '.join(known)}.")
+        known = sorted(filter(None, choices))
+        hint = did_you_mean(given, known)
+        advice = f"Choose one of: {', '.join(known)}." if known else "None has a name here: leave it out."
+        super().__init__(f"There is no {kind} {given!r}.{hint} {advice}")
         self._arguments = kind, given, known
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -16,14 +16,16 @@ def ghz_to_hz(carrier_ghz: float) -> float:
     """Carrier in hertz, rounded to the hertz so that 24.25 GHz is the same number everywhere.
 
     Raises `ValueError` for a carrier below a hertz or not finite, and for one above `MAX_CARRIER_GHZ`, which was in all
-    likelihood given in hertz.
+    likelihood given in another unit.
     """
     if not 1e-9 <= carrier_ghz < inf:
         raise ValueError(f"a carrier in GHz is a number above 0, as in 24.25, and not {carrier_ghz:g}")
     if carrier_ghz > MAX_CARRIER_GHZ:
+        units = (("MHz", 1e3), ("kHz", 1e6), ("hertz", 1e9))  # the first in which it is at most 100 GHz
+        unit, of_ghz = next((unit for unit in units if carrier_ghz <= 100 * unit[1]), units[-1])
         raise ValueError(
-            f"a carrier in GHz is at most {MAX_CARRIER_GHZ:,.0f}, and not {carrier_ghz:g}. Was that hertz? Then it is "
-            f"{carrier_ghz / 1e9:g} in GHz"
+            f"a carrier in GHz is at most {MAX_CARRIER_GHZ:,.0f}, and not {carrier_ghz:g}. Was that {unit}? Then it is "
+            f"{carrier_ghz / of_ghz:g} GHz"
         )
     return float(round(carrier_ghz * 1e9))
 

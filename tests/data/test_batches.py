@@ -47,7 +47,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def test_unfinished_batches_of_another_job_are_left_alone(tmp_path: Path, left_by_other: Path) -> None:
     folder = shutil.copytree(left_by_other, tmp_path / "rooms.h5.parts")
     names = {path.name for path in folder.iterdir()}
-    with pytest.raises(OutputExistsError, match=r"unfinished run with pas_kind amplitude \(here power\)\. Run"):
+    with pytest.raises(OutputExistsError, match=r"another unfinished run: pas_kind amplitude there, power here\. Run"):
         generate_planned(OURS, tmp_path / "rooms.h5")
     assert {path.name for path in folder.iterdir()} == names
 
@@ -60,7 +60,7 @@ def test_batches_of_other_code_or_software_are_refused_by_name(
     monkeypatch.setattr("xfreqbench.data.plan.software_versions", lambda solver: OURS.header.software | {"numba": "9"})
     folder = unfinished(small_plan(num_transmitters=20), path)
     with pytest.raises(
-        OutputExistsError, match=r"run with software\.code edited \(here \w{16}\), software\.numba 9 \("
+        OutputExistsError, match=r"run: software\.code edited there, \w{16} here; software\.numba 9 there"
     ):
         generate_planned(OURS, path)
     shutil.rmtree(folder)

@@ -177,8 +177,12 @@ def test_processes_make_the_same_bytes(drawn: Collection, tmp_path: Path) -> Non
 
 
 def test_another_collection_is_not_written_over(drawn: Collection, tmp_path: Path) -> None:
-    with pytest.raises(OutputExistsError, match=r"other rooms, with max_depth 1 \(here 2\)"):
-        generate_rooms("rooms", drawn.path, rooms=3, **{**TINY, "max_depth": 2})
+    for other, words in (
+        ({"max_depth": 2}, "max_depth 1 there, 2 here"),
+        ({"freqs_ghz": [2.4]}, "carriers there, 1 here"),
+    ):
+        with pytest.raises(OutputExistsError, match=f"holds other rooms: .*{words}. Choose"):
+            generate_rooms("rooms", drawn.path, rooms=3, **{**TINY, **other})
     (tmp_path / "thesis.tex").touch()
     with pytest.raises(OutputExistsError, match=r"holds 'thesis.tex' and no collection\.json"):
         generate_rooms("rooms", tmp_path, rooms=3, **TINY)

@@ -43,10 +43,14 @@ def test_the_same_job_is_not_run_again_and_another_is_refused(tmp_path: Path) ->
     before = path.stat().st_mtime_ns
     generate_planned(small_plan(), path)
     assert path.stat().st_mtime_ns == before
-    with pytest.raises(OutputExistsError, match="holds another data set"):
-        generate_planned(small_plan(num_transmitters=30), path)
-    with pytest.raises(OutputExistsError, match="holds another data set"):
-        generate_planned(small_plan(pas_kind="amplitude"), path)
+    for other, words in (
+        (small_plan(num_transmitters=30), "40 transmitters there, 30 here"),
+        (small_plan(pas_kind="amplitude"), "pas_kind power there, amplitude here"),
+        (small_plan(carriers_hz=[2.4e9]), "2 carriers there, 1 here"),
+        (small_plan(carriers_hz=[2.4e9, 60e9]), r"other carriers \(2\)"),
+    ):
+        with pytest.raises(OutputExistsError, match=f"holds another data set: {words}. Choose"):
+            generate_planned(other, path)
     assert path.stat().st_mtime_ns == before
 
 

@@ -13,6 +13,7 @@ import pytest
 from xfreqbench.baselines.line_of_sight import LineOfSight
 
 import xfreqbench as xb
+from tests.support.fuzzing.common import xfreqbench
 from tests.support.synthetic import write_dataset
 from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import PasDataset, verify
@@ -23,6 +24,7 @@ from xfreqbench.errors import DataError, OutputExistsError, ProtocolError, Unkno
 from xfreqbench.exchange.split_file import Handout
 from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.report.view.describe import describe
+from xfreqbench.runs.run import asked_tasks
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.tracing.tracer import Channel
 
@@ -173,10 +175,9 @@ def test_the_plan_counts_links(tmp_path: Path) -> None:
 
 
 def test_what_links_cannot_be_asked_for_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match="low"):
-        few(tmp_path / "x.h5", receiver="lw")
-    with pytest.raises(UnknownNameError, match="VH"):
-        few(tmp_path / "x.h5", polarization="VX")
+    for asked, nearest in (({"receiver": "lw"}, "low"), ({"polarization": "VX"}, "VH")):
+        with pytest.raises(UnknownNameError, match=nearest):
+            few(tmp_path / "x.h5", **asked)
     other = replace(two_receivers().other_receivers[0], rows=4)
     with pytest.raises(XFreqBenchError, match="'first one' and 'low' have different arrays"):
         xb.generate(replace(two_receivers(), other_receivers=(other,)), tmp_path / "x.h5", receiver="all")
@@ -243,7 +244,7 @@ def test_every_receiver_is_held_out_in_turn(rooms: PasDataset, tmp_path: Path) -
     assert all(record.scores["ssim"].median > 0 for record in records)
     (one,) = xb.run(rooms.path, "nearest", **how, receiver="wall")
     assert one in records
-    with pytest.raises(XFreqBenchError, match=r"'xfreq-gs' predicts the receiver.*line-of-sight and nearest"):
+    with pytest.raises(XFreqBenchError, match=r"'xfreq-gs' can only predict the receiver.*line-of-sight and nearest"):
         xb.run(rooms.path, "xfreq-gs", **how)
     with pytest.raises(ProtocolError, match="--receiver all"):
         xb.run(write_dataset(tmp_path / "one.h5"), "nearest", **how)
@@ -274,3 +275,22 @@ def test_a_map_of_another_receiver_is_turned_into_the_frame_of_the_one_that_is_a
     is_heard = wall.grid.directions @ wall.header.receiver.rotation.T @ train.header.receiver.boresight >= 0
     assert np.abs(turned - lobe(wall.header.receiver))[is_heard].max() < 0.1  # a degree of the grid
     assert not turned[~is_heard].any()
+
+
+def test_a_run_says_which_link_of_several_methods_see(joint: PasDataset, tmp_path: Path) -> None:
+    words = f"run --data {joint.path} --method nearest --targets 24.25 --results {tmp_path}"
+    done = xfreqbench(*words.split())
+    assert done.code == 0, done.message
+    assert "methods see receiver first one of first one, low; option receiver chooses another" in done.message
+    assert "methods see polarization VV of VV, VH, HV, HH; option polarization chooses another" in done.message
+    held_out = asked_tasks(joint.path, ["nearest"], "held-out-receiver", None, "test", [0], None, "cpu", None, "VH")
+    crossed = ["methods see polarization VH of VV, VH, HV, HH; option polarization chooses another"]
+    assert [task.notes for task in held_out] == [crossed, crossed]
+
+
+def test_a_run_of_sparse_says_which_splits_the_data_do_not_serve(tmp_path: Path) -> None:
+    data = write_dataset(tmp_path / "data.h5", carriers_ghz=(10.0, 24.25, 37.0)).path
+    words = f"run --data {data} --method nearest --protocol sparse --results {tmp_path / 'results'}"
+    done = xfreqbench(*words.split())
+    assert done.code == 0, done.message
+    assert "sparse leaves out 2 of 3 splits" in done.message

@@ -4,6 +4,7 @@ import pickle
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -22,25 +23,24 @@ from xfreqbench.system.cluster import UnfitWorkerError
 from xfreqbench.tracing.tracer import TraceSettings
 
 
-def test_bad_input_is_refused_before_any_ray() -> None:
-    office = load_scene("office")
-    for carriers, message in (([], "positive"), ([0.0], "positive"), ([1e9, 1e9], "once")):
-        with pytest.raises(XFreqBenchError, match=message):
-            plan_generation(office, carriers)
-    with pytest.raises(MaterialBandError, match="from 1 to 100 GHz"):
-        plan_generation(office, [0.9e9])
-    with pytest.raises(UnknownNameError, match="PAS kind"):
-        plan_generation(office, [1e9], pas_kind="powr")
-    with pytest.raises(PlacementError, match="inside 'cabinet 2'"):
-        plan_generation(office, [1e9], tx_position_m=np.array([[4.0, 4.5, 1.0]]))
-    for limits, message in (
-        ({"max_depth": -1}, "depth is -1; give a number from 0 to 16"),
-        ({"max_depth": 1_000_000}, "depth is 1,000,000; give a number from 0 to 16"),
-        ({"rays": 10**12}, "number of rays is 1,000,000,000,000; give a number from 1 to 10,000,000"),
-        ({"seed": 2**32}, "seed is 4,294,967,296; give a number from 0 to 4,294,967,295"),
-    ):
-        with pytest.raises(XFreqBenchError, match=message):
-            plan_generation(office, [1e9], TraceSettings(**limits))
+@pytest.mark.parametrize(
+    ("asked", "error", "words"),
+    [
+        ({"carrier_hz": []}, XFreqBenchError, "positive"),
+        ({"carrier_hz": [0.0]}, XFreqBenchError, "positive"),
+        ({"carrier_hz": [1e9, 1e9]}, XFreqBenchError, "once"),
+        ({"carrier_hz": [0.9e9]}, MaterialBandError, "from 1 to 100 GHz"),
+        ({"pas_kind": "powr"}, UnknownNameError, "PAS kind"),
+        ({"tx_position_m": np.array([[4.0, 4.5, 1.0]])}, PlacementError, "inside 'cabinet 2'"),
+        ({"settings": TraceSettings(max_depth=-1)}, XFreqBenchError, "depth is -1; give a number from 0 to 16"),
+        ({"settings": TraceSettings(max_depth=1_000_000)}, XFreqBenchError, "depth is 1,000,000; give a number from 0"),
+        ({"settings": TraceSettings(rays=10**12)}, XFreqBenchError, "rays is 1,000,000,000,000; .* 1 to 10,000,000"),
+        ({"settings": TraceSettings(seed=2**32)}, XFreqBenchError, "seed is 4,294,967,296; .* 0 to 4,294,967,295"),
+    ],
+)
+def test_bad_input_is_refused_before_any_ray(asked: dict[str, Any], error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        plan_generation(load_scene("office"), **{"carrier_hz": [1e9], **asked})
 
 
 def test_a_plan_says_that_the_maps_of_an_array_without_extent_are_constant() -> None:

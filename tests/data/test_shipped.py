@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pooch
@@ -41,15 +41,20 @@ def test_the_office_ships_as_it_would_be_traced_now() -> None:
     assert data.pas(7).max() == 1
 
 
-def test_a_name_that_does_not_ship_says_what_does() -> None:
-    with pytest.raises(UnknownNameError, match=r"no data set 'offcie'. Did you mean 'office'"):
-        xb.load("offcie")
-    with pytest.raises(DataError, match=r"generate lounge --no-maps -o lounge.h5"):
-        xb.load("lounge")
-    with pytest.raises(DataError, match=r"open_dataset\('data/office.h5'\)"):
-        xb.load("data/office.h5")
-    with pytest.raises(UnknownNameError, match="https"):
-        xb.fetch("nowhere")
+@pytest.mark.parametrize(
+    ("call", "name", "error", "words"),
+    [
+        (xb.load, "offcie", UnknownNameError, "no data set 'offcie'. Did you mean 'office'"),
+        (xb.load, "lounge", DataError, "generate lounge --no-maps -o lounge.h5"),
+        (xb.load, "data/office.h5", DataError, r"open_dataset\('data/office.h5'\)"),
+        (xb.fetch, "nowhere", UnknownNameError, "https"),
+    ],
+)
+def test_a_name_that_does_not_ship_says_what_does(
+    call: Callable[[str], object], name: str, error: type[Exception], words: str
+) -> None:
+    with pytest.raises(error, match=words):
+        call(name)
 
 
 def test_a_download_goes_on_where_it_broke_off_and_is_kept(server: Server, tmp_path: Path) -> None:

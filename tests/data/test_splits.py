@@ -9,7 +9,16 @@ import pytest
 
 from tests.support.synthetic import paper_dataset, write_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import LOFO_TARGETS_HZ, PROTOCOLS, UNSEEN_SHARE, VALIDATIONS, Split, find_split, make_splits
+from xfreqbench.data.splits import (
+    LOFO_TARGETS_HZ,
+    PROTOCOLS,
+    UNSEEN_SHARE,
+    VALIDATIONS,
+    Split,
+    find_split,
+    left_out,
+    make_splits,
+)
 from xfreqbench.errors import ArgumentError, DataError, ProtocolError, UnknownNameError
 from xfreqbench.units import PAPER_CARRIERS_GHZ
 
@@ -95,6 +104,10 @@ def test_a_carrier_without_paths_does_not_block_the_others(tmp_path: Path) -> No
 def test_sparse_serves_the_splits_whose_carriers_there_are(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5", carriers_ghz=(10.0, 24.25, 37.0))
     assert [split.name for split in make_splits(dataset, "sparse")] == ["sparse-24.25GHz-from-10-37GHz"]
+    assert left_out(dataset) == (
+        "sparse leaves out 2 of 3 splits: sparse-24.25GHz-from-10-37-94GHz (no 94 GHz), "
+        "sparse-24.25GHz-from-1-10-37-60-94GHz (no 1, 60, 94 GHz)"
+    )
     with pytest.raises(ProtocolError, match=r"trains on 10, 37, 94 GHz; or .*carriers 10,24.25,37,94 \(in GHz\)"):
         make_splits(dataset, "sparse", on="validation")
 
@@ -107,7 +120,7 @@ def test_sparse_serves_the_splits_whose_carriers_there_are(tmp_path: Path) -> No
         ({"carriers_ghz": (10.0,)}, ("lofo", "all"), "two carriers"),
         ({"num_tx": 1, "silent": ((0, 1),)}, ("lofo", [10]), "0 to test on"),
         ({"num_tx": 1}, ("held-out-tx",), "0 samples to train on"),
-        ({}, ("held-out-tx", [10]), "'held-out-tx' chooses what it tests"),
+        ({}, ("held-out-tx", [10]), "'held-out-tx' has no targets to choose"),
         ({"num_tx": 12}, ("lofo", [10], "validation"), r"'lofo-validation-10GHz' .* 3 or more, but they are 1, 37 GHz"),
         ({"num_tx": 11}, ("held-out-tx", None, "validation"), r"transmitters, .* be 10 or more, but there are 9\. G"),
     ],
@@ -131,6 +144,9 @@ def test_a_target_outside_of_the_trained_band_is_extrapolated(dataset: PasDatase
 def test_a_protocol_by_the_name_that_others_give_it_is_told(dataset: PasDataset, said: str, name: str) -> None:
     with pytest.raises(UnknownNameError, match=f"Did you mean '{name}'"):
         make_splits(dataset, said)
+
+
+def test_an_unknown_split_or_part_names_the_known_ones(dataset: PasDataset) -> None:
     with pytest.raises(UnknownNameError, match="Did you mean 'lofo-77GHz'"):
         find_split(dataset, "lofo", "lofo-78GHz")
     with pytest.raises(ArgumentError, match="'test' or 'validation'"):

@@ -196,6 +196,32 @@ def test_all_faults_are_found_at_once(own_method) -> None:
     assert faults == {"num_parameters is an integer of 0 or more", "every map has peak 1"}
 
 
+def test_a_fault_hides_only_what_cannot_be_tried_after_it(own_method) -> None:
+    refuses = "        raise NotImplementedError\n"
+    wrong_maps = predicting("return maps * 30") + f"    def save(self, directory):\n{refuses}"
+    found = check_method(own_method(wrong_maps))
+    assert len(found) == 20
+    faults = [finding.requirement.partition(",")[0].partition(" maps")[0] for finding in found if finding.is_fault]
+    assert faults == [
+        "predict is valid at fit's first yield",
+        "predict returns float32",
+        "predict returns",
+        "a method that was saved and loaded predicts the same",
+    ]
+    untried = [str(finding) for finding in found if finding.is_untried]
+    assert all(
+        line.startswith("skip ") and "not tried, because of the fault in 'predict ret" in line for line in untried
+    )
+    assert len(untried) == 8
+
+    on_gpu = f"@dataclass(frozen=True)\nclass Own(Config):\n    device: str = 'cuda'\n{CONFIGURED}"
+    broken_fit = f"{on_gpu}    def fit(self, train, budget, seed):\n{refuses}"
+    found = check_method(own_method(broken_fit))
+    assert len(found) == 20
+    faults = [finding.requirement.partition(",")[0] for finding in found if finding.is_fault]
+    assert faults == ["fit is a generator that yields Progress", "it computes on the device that it is told"]
+
+
 def test_a_method_that_ignores_its_seed_is_warned_and_not_refused(own_method) -> None:
     text = fitting("yield from fit(train, budget, np.random.default_rng().integers(10**9))")
     finding, *not_checked = [finding for finding in check_method(own_method(text)) if finding.fault]

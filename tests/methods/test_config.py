@@ -97,7 +97,7 @@ def test_values_are_typed_from_the_fields_and_the_later_wins() -> None:
         (Config(), "depth=0", "Option 'depth' of Config takes int, but '0' was given: .*greater"),
         (Config(), "hidden", "key=value"),
         (Config(), "hiden=128", "Did you mean 'hidden'"),
-        (NoOptions(), "hidden=1", "Option 'hidden' is given, but the method has none"),
+        (NoOptions(), "hidden=1", "Option 'hidden' is given, but this method has no options"),
     ],
     ids=str,
 )

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -108,19 +109,24 @@ def test_the_chosen_transmitters_depend_on_the_seed_alone() -> None:
         choose_transmitters(placement, 10_000, seed=3)
 
 
-def test_a_receiver_or_transmitter_inside_an_object_names_it() -> None:
+def test_a_receiver_inside_an_object_names_it() -> None:
     scene = parse_scene(BOX.replace("[2.0, 2.0, 2.5]", "[2.0, 2.0, 1.0]"))
-    meshes = surface_meshes(scene)
     with pytest.raises(PlacementError, match=r"Receiver.*inside 'cabinet'"):
-        check_receiver(scene, meshes, 1e9)
-    with pytest.raises(PlacementError, match=r"Transmitter 1 stands inside 'cabinet'"):
-        check_transmitters(scene, meshes, np.array([[0.2, 0.2, 1.0], [2.0, 2.0, 0.5]]), [1e9])
-    with pytest.raises(PlacementError, match=r"Transmitter 0 stands 5\.0 mm from a surface"):
-        check_transmitters(scene, meshes, np.array([[0.5, 0.5, -0.095]]), [1e9])
-    with pytest.raises(PlacementError, match="finite"):
-        check_transmitters(scene, meshes, np.array([[np.nan, 0.5, 1.0]]), [1e9])
-    with pytest.raises(PlacementError, match="at least one"):
-        check_transmitters(scene, meshes, np.zeros((0, 3)), [1e9])
+        check_receiver(scene, surface_meshes(scene), 1e9)
+
+
+@pytest.mark.parametrize(
+    ("tx_m", "words"),
+    [
+        ([[0.2, 0.2, 1.0], [2.0, 2.0, 0.5]], "Transmitter 1 stands inside 'cabinet'"),
+        ([[0.5, 0.5, -0.095]], r"Transmitter 0 stands 5\.0 mm from a surface"),
+        ([[np.nan, 0.5, 1.0]], "finite"),
+        (np.zeros((0, 3)), "at least one"),
+    ],
+)
+def test_a_transmitter_where_none_can_be_is_named(tx_m: list[list[float]], words: str) -> None:
+    with pytest.raises(PlacementError, match=words):
+        check_transmitters(BOX_SCENE, surface_meshes(BOX_SCENE), np.array(tx_m), [1e9])
 
 
 @pytest.mark.parametrize("carrier_hz", [1e9, 94e9])
@@ -244,6 +250,37 @@ def test_unknown_scenes_and_materials_name_the_nearest(tmp_path: Path) -> None:
         load_scene(tmp_path / "box.toml")
     with pytest.raises(SceneError, match="cannot be read"):
         load_scene("no/such/place.toml")
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "nearest"),
+    [
+        ("[receiver]", "row = 8", "receiver.row: There is no key 'row'. Did you mean 'rows'? Choose one of: antenna_"),
+        ("[transmitters]", "step = 0.5", "transmitters.step: There is no key 'step'. Did you mean 'step_m'?"),
+        (
+            "[[surface]]",
+            "thickness = 1",
+            "surface.0.thickness: There is no key 'thickness'. Did you mean 'thickness_m'?",
+        ),
+        ("[receiver]", "polarisation = 'H'", "Did you mean 'polarization'?"),
+        ('name = "box"', "recievers = 1", "recievers: There is no key 'recievers'. Did you mean 'receiver'?"),
+        ("[receiver]", "[[receiver]]\nname = 'one'\nboresite = 1", "Did you mean 'boresight'?"),
+        (
+            "[receiver]",
+            "[[receiver]]\nposition_m = [1, 1, 1]\nname = 'one'\n[[receiver]]\nrow = 1",
+            "receiver.1.row: There",
+        ),
+        (
+            'name = "box"',
+            "[[material]]\nname = 'a'\n[[material.layers]]\nmaterials = 'b'\n",
+            "Did you mean 'material'?",
+        ),
+    ],
+)
+def test_an_unknown_key_of_a_table_names_the_nearest_and_all(table: str, key: str, nearest: str) -> None:
+    content = key if key.startswith("[[rec") else f"{table}\n{key}"
+    with pytest.raises(SceneError, match=re.escape(nearest)):
+        parse_scene(BOX.replace(table, content, 1))
 
 
 def test_a_users_mitsuba_scene_gives_the_same_meshes(tmp_path: Path) -> None:

@@ -137,10 +137,9 @@ def test_who_stands_outside_of_everything_is_asked_about(tmp_path: Path) -> None
     with pytest.raises(PlacementError, match=r"at \(691000\.25, 5334000\.5, 1\.5\) m"):
         check_receiver(replace(scene, receiver=replace(scene.receiver, position_m=far_m)), meshes, 10e9)
     grid = replace(scene.transmitters, min_m=(7.0, 3.0, 1.5), max_m=(8.0, 3.0, 1.5))
-    with pytest.raises(PlacementError, match=r"Every transmitter .* outside of all meshes"):
-        plan_generation(replace(scene, transmitters=grid), [10e9])
-    with pytest.raises(PlacementError, match=r"Every transmitter .* outside of all meshes"):
-        plan_generation(scene, [10e9], tx_position_m=grid.lattice_m)
+    for asked, tx_m in ((replace(scene, transmitters=grid), None), (scene, grid.lattice_m)):
+        with pytest.raises(PlacementError, match=r"Every transmitter .* outside of all meshes"):
+            plan_generation(asked, [10e9], tx_position_m=tx_m)
     some = plan_generation(scene, [10e9], tx_position_m=np.array([[7.0, 3.0, 1.5], [4.0, 3.0, 1.5]]), maps=False)
     assert some.summary.endswith("; 1 transmitters stand outside")
 

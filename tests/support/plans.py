@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,10 +21,15 @@ SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=20_000, m
 CARRIERS_HZ = [1e9, 24.25e9]
 
 
-def small_plan(scene: str | Scene = "two_rooms", num_transmitters: int | None = 40, **changes: object) -> Plan:
+def small_plan(
+    scene: str | Scene = "two_rooms",
+    num_transmitters: int | None = 40,
+    carriers_hz: Sequence[float] = CARRIERS_HZ,
+    **changes: object,
+) -> Plan:
     arguments = {"settings": SETTINGS, "num_transmitters": num_transmitters, **changes}
     loaded = load_scene(scene) if isinstance(scene, str) else scene
-    return plan_generation(loaded, CARRIERS_HZ, **arguments)  # type: ignore[arg-type]
+    return plan_generation(loaded, carriers_hz, **arguments)  # type: ignore[arg-type]
 
 
 def unfinished(plan: Plan, path: Path) -> Path:

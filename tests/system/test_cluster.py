@@ -415,7 +415,7 @@ def test_what_listens_there_and_is_no_scheduler_is_refused_in_one_line(
     with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Says) as server:
         threading.Thread(target=server.serve_forever).start()
         address = f"dask://127.0.0.1:{server.server_address[1]}"
-        refusal = r"^No Dask scheduler answers at dask:.*, or mend --executor\.$"
+        refusal = r"^No Dask scheduler answers at dask:.*, or fix --executor\.$"
         try:
             with pytest.raises(ClusterError, match=refusal) as refused, dask_workers(address):
                 pass

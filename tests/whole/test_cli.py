@@ -52,6 +52,21 @@ print("loaded", sorted({HEAVY!r} & set(sys.modules)))
         ("run --method nearest --results results --data x.h5 --on tests", 'Choose from: "test", "validation"'),
         ("split -o x.h5 --data x.h5 --on tests", 'Choose from: "test", "validation"'),
         ("generate office -o x.h5 --freq 1", "--freqs"),
+        ("generate office -o x.h5 --freqs 2400", "--freqs cannot use '2400'"),
+        ("generate office -o x.h5 --freqs-ghz=x", "--freqs-ghz takes carriers in GHz"),
+        (
+            "generate office -o x.h5 --receiver north",
+            "There is no receiver 'north'. None has a name here: leave it out.",
+        ),
+        ("run --method nearest --results results --data x.h5 --seed x", "--seed takes whole numbers"),
+        ("run --method nearest --results results --data x.h5 --seeds x", "--seeds takes whole numbers"),
+        ("run --method nearest --results results --data x.h5 --targets x", "--targets takes carriers"),
+        (
+            "run --method nearest, gsrf --results results --data x.h5",
+            "no place for 'gsrf'. A list has commas and no spaces",
+        ),
+        ("split -o x.h5 --data x.h5 --targets-ghz x", "--targets-ghz takes carriers"),
+        ("import nowhere -o x.h5", "There is no folder nowhere."),
         ("vew", 'Did you mean "view"?'),
     ],
 )
@@ -64,6 +79,19 @@ def test_mistakes_end_with_code_2_and_words(
     assert message in done.message
     assert "Traceback" not in done.message
     assert not list(tmp_path.iterdir())
+
+
+def test_a_shell_completes_commands_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    done = xfreqbench("--install-completion", "--shell", "bash")
+    script = tmp_path / ".local" / "share" / "bash-completion" / "completions" / "xfreqbench"
+    assert done.code == 0 and str(script) in done.stdout.replace("\n", "")
+    assert str(script) in (tmp_path / ".bashrc").read_text(encoding="utf-8")
+    asked = {"gen": "generate", "run --prot": "--protocol", "bench fing": "fingerprint", "run --on val": "validation"}
+    lines = [f"COMP_WORDS=(xfreqbench {words}) COMP_CWORD={len(words.split())}; _xfreqbench; " for words in asked]
+    program = f"source {shlex.quote(str(script))}; " + "".join(f'{line} echo "${{COMPREPLY[@]}}"; ' for line in lines)
+    found = subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=True).stdout
+    assert found.splitlines() == list(asked.values())
 
 
 VIEW, COMPARE = (

@@ -338,7 +338,7 @@ def plot(
         raise XFreqBenchError(f"--of {of} shows all transmitters; leave --tx out, or draw --of maps.")
     if of == "statistics" and carriers is not None:
         raise XFreqBenchError("--of statistics shows all carriers; leave --carriers out.")
-    carriers_hz = None if carriers is None else parse_carriers_hz(carriers, "--carriers")
+    carriers_hz = None if carriers is None else parse_carriers_hz(carriers, ("--carriers",))
     require_own_figure(output)
     if of == "maps":
         draw_maps(file, tx or 0, carriers_hz, db_range, output)

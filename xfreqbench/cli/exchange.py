@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from xfreqbench.cli.options import (
     EXCHANGE,
+    TARGETS,
     Output,
     Quiet,
     ScoredOnOption,
@@ -209,10 +210,7 @@ def split(
     ] = "lofo",
     targets: Annotated[
         str | None,
-        Parameter(
-            name=["--targets-ghz", "--targets"],
-            help="Held-out carriers in GHz, comma-separated, or `all`; default 2.4,24.25,77.",
-        ),
+        Parameter(name=TARGETS, help="Held-out carriers in GHz, comma-separated, or `all`; default 2.4,24.25,77."),
     ] = None,
     on: ScoredOnOption = "test",
     maps: Annotated[
@@ -227,8 +225,8 @@ def split(
     from xfreqbench.exchange.split_file import Handout, write_handout
     from xfreqbench.system.bars import progress_bars
 
-    dataset = open_dataset(data)
-    handout = Handout(dataset, make_splits(dataset, protocol, parse_targets_ghz(targets), on), maps)
+    targets_ghz, dataset = parse_targets_ghz(targets), open_dataset(data)
+    handout = Handout(dataset, make_splits(dataset, protocol, targets_ghz, on), maps)
     with progress_bars("maps", ["writing"] if maps else [], quiet) as bars:
         is_new = write_handout(handout, output, *bars)
     names = ", ".join(split.name for split in handout.splits)
@@ -261,11 +259,11 @@ def score(
     with progress_bars("maps", ["checking", "scoring"], quiet) as (checking, scoring):
         scored = score_file(predictions, data, results, method, checking, scoring)
     if scored.missing:
-        say(f"{predictions} does without {', '.join(scored.missing)}, which its protocol has too", quiet)
+        say(f"{predictions} has nothing for {', '.join(scored.missing)}, which its protocol tests too", quiet)
     for silent in scored.silent:
         say(f"every map of {silent} in {predictions} is zero. Was each divided by its maximum before it was rounded?")
     if not scored.is_data_known:
-        say(f"without dataset_sha256, {predictions} is taken to be of {data}", quiet)
+        say(f"{predictions} has no dataset_sha256, so it is assumed to be of {data}", quiet)
     say(
         f"{leaderboard_summary(ranked_beside(results, scored.records))}\n\nEvery metric: xfreqbench report {results}",
         quiet,

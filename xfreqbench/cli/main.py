@@ -1,4 +1,4 @@
-"""Runs the command line, and turns every error that a user can mend into one line and an exit code."""
+"""Runs the command line, and turns every error that a user can fix into one line and an exit code."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _IGNORED = add_plugin_commands(app)  # after the commands of our own
 
 
 def main() -> None:
-    """Run the command line; ends with exit code 2 for an error that a user can mend, 130 for an interrupted command."""
+    """Run the command line; ends with exit code 2 for an error that a user can fix, 130 for an interrupted command."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # the name of a file need not be valid text
     _bound_console_width()
@@ -49,7 +49,7 @@ def main() -> None:
         _discard_output()
         sys.exit(1)
     except OSError as error:
-        fault = f"{error.filename} cannot be used: {error.strerror}. Mend the path or its permissions."
+        fault = f"{error.filename} cannot be used: {error.strerror}. Correct the path or its permissions."
         if error.filename is None:
             if not _is_output_lost():
                 raise

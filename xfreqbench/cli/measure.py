@@ -8,7 +8,17 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import Interactions, Output, Quiet, bench, example, parse_carriers_hz, parse_names, say
+from xfreqbench.cli.options import (
+    FREQS,
+    Interactions,
+    Output,
+    Quiet,
+    bench,
+    example,
+    parse_carriers_hz,
+    parse_names,
+    say,
+)
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 
 BenchOutput = Annotated[
@@ -145,10 +155,7 @@ def bench_measured(
     scene: str,
     measured: Path,
     *,
-    freqs: Annotated[
-        str,
-        Parameter(name=["--freqs-ghz", "--freqs"], help="Carriers in GHz, comma-separated, whose powers are averaged."),
-    ],
+    freqs: Annotated[str, Parameter(name=FREQS, help="Carriers in GHz, comma-separated, whose powers are averaged.")],
     height: Annotated[
         float | None, Parameter(help="z in metres of all positions, for a file without that column.")
     ] = None,

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App, CycloptsError, CycloptsPanel, Group, MissingArgumentError, Parameter
+from cyclopts import App, CycloptsError, CycloptsPanel, Group, MissingArgumentError, Parameter, UnusedCliTokensError
 
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
@@ -26,6 +26,11 @@ def _refusal(error: CycloptsError) -> RichGroup:
         names = error.argument.names
         needed = names[0].lstrip("-").upper() if error.argument.field_info.is_positional else " or ".join(names)
         shown = f"xfreqbench {' '.join(chain)} needs {needed}."
+    if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
+        words = " ".join(error.unused_tokens)
+        shown = (
+            f"xfreqbench {' '.join(chain)} has no place for {words!r}. A list has commas and no spaces, as in 1,2.4."
+        )
     panel, command = CycloptsPanel(shown), app
     for name in chain:
         command = command[name]
@@ -50,13 +55,13 @@ bench = App(name="bench", help="Measure accuracy against time; every table names
 app.command(bench)
 for flag in ("--help", "--version"):
     app[flag].group = _OTHERS
+app.register_install_completion_command(
+    group=_OTHERS, help="Let bash, zsh or fish complete commands and options; says which files it writes."
+)
 
+FREQS, TARGETS, SEEDS = ("--freqs-ghz", "--freqs"), ("--targets-ghz", "--targets"), ("--seeds", "--seed")
 Freqs = Annotated[
-    str,
-    Parameter(
-        name=["--freqs-ghz", "--freqs"],
-        help="Carriers in GHz, comma-separated, as in 1,2.4,24.25; or `paper`: the paper's ten.",
-    ),
+    str, Parameter(name=FREQS, help="Carriers in GHz, comma-separated, as in 1,2.4,24.25; or `paper`: the paper's ten.")
 ]
 Quiet = Annotated[bool, Parameter(name=["--quiet", "-q"], negative="", help="Print errors only.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write.")]
@@ -93,8 +98,15 @@ def parse_names(text: str | None) -> list[str] | None:
     return None if text is None else [name for name in map(str.strip, text.split(",")) if name]
 
 
-def parse_carriers_ghz(freqs: str, option: str = "--freqs-ghz") -> list[float]:
-    """Carriers in GHz from text such as `1,2.4`, or `paper`; raises `XFreqBenchError` that names `option`."""
+def as_typed(names: tuple[str, ...]) -> str:
+    """That name of an option by which the command line gives it; the first where it is not there."""
+    typed = {word.partition("=")[0] for word in sys.argv}
+    return next((name for name in names if name in typed), names[0])
+
+
+def parse_carriers_ghz(freqs: str, names: tuple[str, ...] = FREQS) -> list[float]:
+    """Carriers in GHz from text such as `1,2.4`, or `paper`; raises `XFreqBenchError` that names the option."""
+    option = as_typed(names)
     if freqs.strip() == "paper":
         return list(PAPER_CARRIERS_GHZ)
     try:
@@ -111,16 +123,16 @@ def parse_carriers_ghz(freqs: str, option: str = "--freqs-ghz") -> list[float]:
     return carriers_ghz
 
 
-def parse_carriers_hz(freqs: str, option: str = "--freqs-ghz") -> list[float]:
+def parse_carriers_hz(freqs: str, names: tuple[str, ...] = FREQS) -> list[float]:
     """Carriers in hertz from text such as `1,2.4`, in GHz, or `paper`; raises as `parse_carriers_ghz` does."""
-    return [ghz_to_hz(carrier_ghz) for carrier_ghz in parse_carriers_ghz(freqs, option)]
+    return [ghz_to_hz(carrier_ghz) for carrier_ghz in parse_carriers_ghz(freqs, names)]
 
 
 def parse_targets_ghz(targets: str | None) -> list[float] | Literal["all"] | None:
     """Held-out carriers in GHz from text such as `2.4,77`; `all` and None stay. Raises `XFreqBenchError`."""
     if targets is None:
         return None
-    return "all" if targets == "all" else parse_carriers_ghz(targets, "--targets-ghz")
+    return "all" if targets == "all" else parse_carriers_ghz(targets, TARGETS)
 
 
 def say(text: str, quiet: bool = False) -> None:

@@ -47,7 +47,7 @@ def __getattr__(name: str) -> App:
         if len(found) > 1:
             raise MethodError(f"Several packages offer a command {name!r}: {_packages(name)}. Uninstall all but one.")
         (entry,) = found.values()
-        with method_code(f"Command {name!r} cannot be loaded:", "Mend its package, or uninstall it.", ()):
+        with method_code(f"Command {name!r} cannot be loaded:", "Fix its package, or uninstall it.", ()):
             app = entry.load()
         if not isinstance(app, App) or app.name[0] != name:
             raise MethodError(f"Command {name!r} cannot be loaded: {entry.value} is no App(name={name!r}) of cyclopts.")

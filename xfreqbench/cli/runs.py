@@ -12,11 +12,14 @@ from cyclopts import Parameter
 from xfreqbench.cli.options import (
     RESULTS,
     RUN,
+    SEEDS,
+    TARGETS,
     Executor,
     Output,
     Quiet,
     ScoredOnOption,
     app,
+    as_typed,
     example,
     parse_targets_ghz,
     print_table,
@@ -139,15 +142,13 @@ def run(
     targets: Annotated[
         str | None,
         Parameter(
-            name=["--targets-ghz", "--targets"],
+            name=TARGETS,
             help="Held-out carriers of lofo and lofo-unseen-tx in GHz, comma-separated, or `all`; by default "
             "2.4,24.25,77.",
         ),
     ] = None,
     on: ScoredOnOption = "test",
-    seed: Annotated[
-        str, Parameter(name=["--seeds", "--seed"], help="Seeds of the methods, comma-separated: one run each.")
-    ] = "0",
+    seed: Annotated[str, Parameter(name=SEEDS, help="Seeds of the methods, comma-separated: one run each.")] = "0",
     budget: Annotated[
         str,
         Parameter(
@@ -208,7 +209,9 @@ def _seeds(text: str) -> list[int]:
     """Distinct seeds from `0,1,2`; raises `XFreqBenchError`."""
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isdecimal() and len(part) < 19 for part in parts):  # what 64 bits hold
-        raise XFreqBenchError(f"--seeds takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}.")
+        raise XFreqBenchError(
+            f"{as_typed(SEEDS)} takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}."
+        )
     return list(dict.fromkeys(map(int, parts)))
 
 

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from xfreqbench.data.plan import Plan
+from xfreqbench.data.recipe import job_differences
 from xfreqbench.errors import DataError, OutputExistsError, StorageError
 from xfreqbench.system.array_files import unpacked
-from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import atomic_path, require_own, sole_writer, storage_errors, write_text
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.tracer import Channel
@@ -123,8 +123,9 @@ def _fault_of_marker(marker: Path, plan: Plan) -> str | None:
         return "is damaged"
     if marked == plan.job:
         return None
-    differing = differences(plan.job, marked) if isinstance(marked, dict) else "nothing that can be read"
-    return f"marks batches of an unfinished run with {differing}"
+    if not isinstance(marked, dict):
+        return "is damaged"
+    return f"marks the batches of another unfinished run: {job_differences(plan.job, marked)}"
 
 
 def _require_ours(folder: Path) -> None:

@@ -234,6 +234,8 @@ def open_collection(path: FilePath) -> Collection:
     """
     folder = located(path)
     file = folder / FILE
+    if folder.is_file():
+        raise DataError(f"{folder} is one file, but a collection is the folder that `generate FAMILY --rooms` writes.")
     try:
         content = file.read_bytes() if isinstance(file, RemotePath) else read_bytes(file)
         found = TypeAdapter(CollectionRecord).validate_json(content)

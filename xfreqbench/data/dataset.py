@@ -34,7 +34,7 @@ from xfreqbench.data.paths import (
     stored_offsets,
     stored_totals,
 )
-from xfreqbench.data.recipe import OF_CONTENT, Recipe, job_of
+from xfreqbench.data.recipe import OF_CONTENT, Recipe, job_differences, job_of
 from xfreqbench.data.rows import Rows, chosen_rows
 from xfreqbench.data.schema import (
     AXIS,
@@ -55,7 +55,6 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import FAR_M, Scene
 from xfreqbench.scene.patches import components
 from xfreqbench.system.arguments import FilePath, checked
-from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import json_sha256, require_own
 from xfreqbench.system.remote import located
 from xfreqbench.tracing.paths import RaggedPaths
@@ -591,8 +590,8 @@ def holds_same_job(path: Path, header: DatasetHeader, tx_position_m: Float[Float
             existing = open_dataset(file)
         except DataError as error:
             return f"holds no data set that can be read: {error}"
-        differing = differences(asked, job_of(existing.file_header, existing.tables["tx_position_m"]))
-        return f"holds another data set, with {differing}" if differing else None
+        differing = job_differences(asked, job_of(existing.file_header, existing.tables["tx_position_m"]))
+        return f"holds another data set: {differing}" if differing else None
 
     return require_own(path, fault_of)
 

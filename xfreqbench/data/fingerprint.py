@@ -73,17 +73,20 @@ class FingerprintMatch:
     @property
     def verdict(self) -> str:
         """The line that `generate` and `info` print."""
-        refused = f"; more than {self.tolerance:g} is refused by run and score" if self.is_off else ""
-        return f"fingerprint of {self.recipe}: {self}{refused}"
+        if self.difference is None:
+            return f"fingerprint of {self.recipe}: nothing to compare with, {self}"
+        refused = f"; run and score refuse more than {self.tolerance:g}" if self.is_off else ""
+        finding = "differs from" if self.is_off else "matches"
+        return f"fingerprint of {self.recipe}: {finding} the reference, {self}{refused}"
 
     def __str__(self) -> str:
         if self.difference is None:
-            return f"not compared: {self.why_not}"
+            return self.why_not
         in_common = f"{self.num_tx} transmitters × {self.num_carriers} carriers in common"
         if self.difference == 0:
-            return f"equal to the last digit at half of the transmitters or more ({in_common})"
+            return f"to the last digit at half of the transmitters or more ({in_common})"
         return (
-            f"{self.difference_db:.0f} dB off, a median relative field error of {self.difference:.1e} at "
+            f"{self.difference_db:.0f} dB off: a median relative field error of {self.difference:.1e} at "
             f"{format_ghz(self.worst_carrier_hz)}, the worst carrier ({in_common})"
         )
 
@@ -98,7 +101,7 @@ def compare_fingerprint(dataset: PasDataset) -> FingerprintMatch:
     match = partial(FingerprintMatch, dataset.recipe, tolerance)
     known = _shipped().get(dataset.recipe.physics_sha256 or "")
     if known is None:
-        return match(why_not="there is no fingerprint of this scene with these settings")
+        return match(why_not="as xfreqbench ships no reference of this scene with these settings")
     of_stored = {place: tx for tx, place in enumerate(_places(dataset.tables["tx_position_m"]))}
     places = _places(known.tx_position_m)
     pairs = [(of_stored[place], tx) for tx, place in enumerate(places) if place in of_stored]
@@ -107,8 +110,8 @@ def compare_fingerprint(dataset: PasDataset) -> FingerprintMatch:
     )
     if len(pairs) < MIN_TRANSMITTERS or not len(carriers_hz):
         return match(
-            why_not=f"of its {len(places)} transmitters {len(pairs)} are in the file, and of its "
-            f"{len(known.carrier_hz)} carriers {len(carriers_hz)}, where {MIN_TRANSMITTERS} and 1 are needed"
+            why_not=f"as the data share {len(pairs)} of the reference's {len(places)} transmitters and "
+            f"{len(carriers_hz)} of its {len(known.carrier_hz)} carriers, and {MIN_TRANSMITTERS} and 1 are needed"
         )
     stored_tx, known_tx = np.transpose(pairs)
     of_both = dataset.tables["cfr"][np.ix_(stored_tx, stored)], known.cfr[np.ix_(known_tx, fingerprint)]
@@ -122,10 +125,10 @@ def require_fingerprint(dataset: PasDataset) -> FingerprintMatch:
     match = compare_fingerprint(dataset)
     if match.is_off:
         raise DataError(
-            f"{dataset.path} says that it is {match.recipe}, but its channels are {match}, where {match.tolerance:g} "
-            "is allowed. They were traced in another scene, with too few rays or by other software, or were changed "
-            f"afterwards. Generate them anew, as with: xfreqbench generate {match.recipe.scene_name}; a scene of your "
-            "own is generated from its own TOML."
+            f"{dataset.path} says that it is {match.recipe}, but its channels differ from the reference of that: "
+            f"{match}, where {match.tolerance:g} is allowed. They were traced in another scene, with too few rays or "
+            "by other software, or were changed afterwards. Generate them again, as with: xfreqbench generate "
+            f"{match.recipe.scene_name}; a scene of your own is generated from its own TOML."
         )
     return match
 

@@ -176,7 +176,7 @@ def open_sealed(path: Path, schema: str) -> Iterator[Any]:
     if is_folder:
         raise DataError(f"{path} is a folder. Give one of its files, with a name in .h5.")
     if not is_there:
-        raise DataError(f"There is no file {path}. Generate it first, or mend the path.")
+        raise DataError(f"There is no file {path}. Generate it first, or correct the path.")
     with read_errors(path), _bytes_of(path) as stored, h5py.File(stored if is_remote else path, "r") as file:
         found = _text(file, "schema") if "schema" in file.attrs else "none"
         if found != schema:
@@ -222,7 +222,7 @@ def _readable(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         if isinstance(error, PermissionError):
-            raise StorageError(f"{path} cannot be read: {error.strerror}. Mend its permissions.") from error
+            raise StorageError(f"{path} cannot be read: {error.strerror}. Correct its permissions.") from error
         if isinstance(error, BlockingIOError) or _LEFT_OPEN in str(error):
             raise StorageError(
                 f"{path} is in use: another program has opened it to write. Close it there and do the same again; if "
@@ -235,7 +235,7 @@ def _readable(path: Path) -> Iterator[None]:
 def open_foreign(path: Path) -> Iterator[Any]:
     """Open an HDF5 file that another program wrote, to read; raises `DataError` if it is missing or not HDF5."""
     if not path.is_file():
-        raise DataError(f"There is no file {path}. Mend the path.")
+        raise DataError(f"There is no file {path}. Correct the path.")
     try:
         with _readable(path):
             file = h5py.File(path, "r")

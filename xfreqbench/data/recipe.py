@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -95,7 +95,7 @@ def job_of(header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> di
     """What a data set was asked for, by names such as `settings.seed`; long values are told by their hashes.
 
     Data of equal jobs have the same recipe, and are interchangeable: versions of software are left out, and what of
-    the scene's file changes no channel.
+    the scene's file changes no channel. Of carriers and transmitters the number comes first.
     """
     content = {field.name: getattr(header, field.name) for field in fields(header)} | {
         "scene_json": json.loads(header.scene_json),
@@ -105,11 +105,32 @@ def job_of(header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> di
     }
     of_scene = (f"scene_json.{name}" for name in ("receiver", *_NOT_PHYSICS))
     left_out = ("software", "references", "rejected", *of_scene)
+    numbers = {"carrier_hz": f"{len(header.carrier_hz)}: ", "tx_position_um": f"{len(tx_position_m)}: "}
     return {
-        name: text if len(text) <= _SHOWN_LETTERS else f"sha256 {hashlib.sha256(text.encode()).hexdigest()[:16]}"
+        name: numbers.get(name, "")
+        + (text if len(text) <= _SHOWN_LETTERS else f"sha256 {hashlib.sha256(text.encode()).hexdigest()[:16]}")
         for name, text in _flat("", content)
         if not any(name == other or name.startswith(f"{other}.") for other in left_out)
     }
+
+
+def job_differences(asked: Mapping[str, str], stored: Mapping[str, str]) -> str:
+    """How a stored job differs from the one that is asked for: `5 carriers there, 1 here`; empty for the same one."""
+    there_and_here = {name: (stored.get(name, "none"), asked.get(name, "none")) for name in {**asked, **stored}}
+    differing = {name: values for name, values in sorted(there_and_here.items()) if values[0] != values[1]}
+    words = []
+    if any(name.startswith("scene") for name in differing):
+        there, here = there_and_here["scene_name"]
+        words = [f"scene {there} there, {here} here" if there != here else f"another version of scene {there}"]
+    for name, (there, here) in differing.items():
+        what = {"carrier_hz": "carriers", "tx_position_um": "transmitters"}.get(name)
+        if what:
+            numbers = there.partition(":")[0], here.partition(":")[0]
+            differ = numbers[0] != numbers[1]
+            words += [f"{numbers[0]} {what} there, {numbers[1]} here" if differ else f"other {what} ({numbers[0]})"]
+        elif not name.startswith("scene") and name != "num_tx":
+            words += [f"{name.removeprefix('settings.')} {there} there, {here} here"]
+    return "; ".join(words)
 
 
 def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:

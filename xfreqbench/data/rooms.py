@@ -17,13 +17,13 @@ from xfreqbench.data.collection import FILE, Collection, Room, entry_of, open_co
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
+from xfreqbench.data.recipe import job_differences
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.scene.drawn_rooms import draw_room, room_name
 from xfreqbench.scene.families import Family, load_family
 from xfreqbench.scene.materials import MaterialPolicy
 from xfreqbench.system.arguments import CarriersGhz, FilePath, Texts, Word, checked
 from xfreqbench.system.bars import progress_bars
-from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import atomic_path, sole_writer, storage_errors
 from xfreqbench.system.workers import SERIAL, Workers, open_workers, side_by_side
 from xfreqbench.tracing.solvers import interactions_named
@@ -206,12 +206,14 @@ def _claim(plan: RoomsPlan, folder: Path) -> tuple[Room, ...]:
         _describe(plan, folder, [])
         return ()
     found = open_collection(folder).record
-    asked = {"family": plan.family.sha256, "carriers": str(plan.carrier_hz), **plan.options}
-    holds = {"family": found.family_sha256, "carriers": str(found.carrier_hz), **found.options}
+    asked = {"family": f"{plan.family.name} ({plan.family.sha256[:8]})", **plan.options}
+    holds = {"family": f"{found.name} ({found.family_sha256[:8]})", **found.options}
+    for job, carrier_hz in ((asked, plan.carrier_hz), (holds, found.carrier_hz)):
+        job["carrier_hz"] = f"{len(carrier_hz)}: {carrier_hz}"
     texts = [{name: str(value) for name, value in each.items()} for each in (asked, holds)]
-    if differing := differences(*texts):
+    if differing := job_differences(*texts):
         raise OutputExistsError(
-            f"{folder} exists and holds other rooms, with {differing}. Choose another folder with -o, or delete it."
+            f"{folder} exists and holds other rooms: {differing}. Choose another folder with -o, or delete it."
         )
     return found.rooms
 

@@ -167,17 +167,34 @@ def _require_directions(dataset: PasDataset) -> None:
 
 def _sparse_splits(dataset: PasDataset) -> list[Split]:
     """The splits of which the data have all carriers; raises `ProtocolError` where there is none."""
-    trainings = [list(map(ghz_to_hz, carriers_ghz)) for carriers_ghz in SPARSE_TRAINING_GHZ]
-    present_hz = {*np.unique(dataset.carrier_hz).tolist()}
-    served = [training_hz for training_hz in trainings if present_hz >= {SPARSE_TEST_HZ, *training_hz}]
-    if not served:
-        raise _sparse_error(dataset, trainings)
-    splits, tested = [], format_ghz(SPARSE_TEST_HZ)
-    for training_hz in served:
-        name = f"sparse-{tested}-from-{format_ghz_list(training_hz).replace(', ', '-')}".replace(" ", "")
+    missing_hz = _sparse_missing_hz(dataset)
+    if all(missing_hz.values()):
+        raise _sparse_error(dataset, list(missing_hz))
+    splits = []
+    for training_hz in (training_hz for training_hz, missing in missing_hz.items() if not missing):
         trained = np.isin(dataset.carrier_hz, training_hz)
-        splits.append(Split.of(dataset, name, "sparse", trained, dataset.carrier_hz == SPARSE_TEST_HZ))
+        tested = dataset.carrier_hz == SPARSE_TEST_HZ
+        splits.append(Split.of(dataset, _sparse_name(training_hz), "sparse", trained, tested))
     return splits
+
+
+def _sparse_missing_hz(dataset: PasDataset) -> dict[tuple[float, ...], list[float]]:
+    """The carriers that the data lack, for each set of training carriers of `sparse`."""
+    trainings = [tuple(map(ghz_to_hz, carriers_ghz)) for carriers_ghz in SPARSE_TRAINING_GHZ]
+    present_hz = {*np.unique(dataset.carrier_hz).tolist()}
+    return {training_hz: sorted({SPARSE_TEST_HZ, *training_hz} - present_hz) for training_hz in trainings}
+
+
+def _sparse_name(training_hz: Sequence[float]) -> str:
+    carriers = format_ghz_list(training_hz).replace(", ", "-")
+    return f"sparse-{format_ghz(SPARSE_TEST_HZ)}-from-{carriers}".replace(" ", "")
+
+
+def left_out(dataset: PasDataset) -> str | None:
+    """Words on the splits of `sparse` that are not made, as the data lack some of their carriers; None without any."""
+    lacking = {_sparse_name(hz): missing for hz, missing in _sparse_missing_hz(dataset).items() if missing}
+    each = ", ".join(f"{name} (no {format_ghz_list(missing)})" for name, missing in lacking.items())
+    return f"sparse leaves out {len(lacking)} of {len(SPARSE_TRAINING_GHZ)} splits: {each}" if lacking else None
 
 
 def _sparse_error(dataset: PasDataset, trainings: Sequence[Sequence[float]]) -> ProtocolError:
@@ -244,7 +261,7 @@ def make_splits(
             targets_hz = list(map(ghz_to_hz, targets_ghz or LOFO_TARGETS_GHZ))
         splits = _lofo_splits(dataset, protocol, list(dict.fromkeys(targets_hz)))
     elif targets_ghz is not None:
-        raise ProtocolError(f"Protocol {protocol!r} chooses what it tests; leave the targets out.")
+        raise ProtocolError(f"Protocol {protocol!r} has no targets to choose; leave them out.")
     elif protocol == "sparse":
         splits = _sparse_splits(dataset)
     elif protocol == HELD_OUT_RECEIVER:
@@ -304,7 +321,8 @@ def _lofo_splits(dataset: PasDataset, protocol: str, targets_hz: Sequence[float]
     if missing_hz := [carrier for carrier in targets_hz if carrier not in present_hz]:
         raise ProtocolError(
             f"Protocol {protocol!r} needs {format_ghz_list(missing_hz)}, but the data set has "
-            f"{format_ghz_list(present_hz)}. Choose targets that it has, or generate those carriers too."
+            f"{format_ghz_list(present_hz)}. Choose among these, as in --targets {present_hz[0] / 1e9:.12g}, or "
+            "generate data with the others too."
         )
     splits = []
     for target_hz in targets_hz:

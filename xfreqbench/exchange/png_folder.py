@@ -129,6 +129,8 @@ def read_png_folder(folder: Path, convention: Convention, carrier_ghz: float | N
 
     `carrier_ghz` is the carrier of all samples, for a folder without `freq.txt`.
     """
+    if not folder.is_dir():
+        raise DataError(f"There is no folder {folder}. Give the folder that holds {POSITIONS} and {MAPS}.")
     position_m = [tuple(place_m) for place_m in read_positions(folder / POSITIONS).tolist()]
     sample_carrier_hz = _carriers_hz(folder / CARRIERS, carrier_ghz, len(position_m))
     if len(position_m) != len(sample_carrier_hz):

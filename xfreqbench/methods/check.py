@@ -49,31 +49,34 @@ _SEED_TOLERANCE = 1e-4  # rounding over a few steps
 class CheckResult:
     """A requirement of the contract, and what is wrong with the method if it does not meet it, else None.
 
-    A warning is worth mending, but does not break the contract.
+    A warning is worth a correction, but does not break the contract. Where `is_untried`, the requirement could not be
+    tried because of an earlier fault, which `fault` names.
     """
 
     requirement: str
     fault: str | None = None
     is_warning: bool = False
+    is_untried: bool = False
 
     @property
     def is_fault(self) -> bool:
         """Whether the contract is broken."""
-        return self.fault is not None and not self.is_warning
+        return self.fault is not None and not self.is_warning and not self.is_untried
 
     def __str__(self) -> str:
         if self.fault is None:
             return f"ok     {self.requirement}"
-        return f"{'warn  ' if self.is_warning else 'FAULT '} {self.requirement}: {self.fault}"
+        label = "skip  " if self.is_untried else "warn  " if self.is_warning else "FAULT "
+        return f"{label} {self.requirement}: {self.fault}"
 
 
 @checked
 def check_method(method: str | type, overrides: Texts = ()) -> list[CheckResult]:
     """Check a method, given by name, as `package.module:Class` or as a class; returns a result for each requirement.
 
-    The checks construct, fit, predict and save, in this order, and end early for a method that cannot be
-    constructed or fitted, or does not predict maps. One that learns across rooms is fitted to some rooms, adapted to
-    another, and predicts there. Raises `UnknownNameError` for an unknown name or option.
+    The checks construct, fit, predict and save, in this order. After a fault they go on with whatever can be tried
+    in spite of it; a requirement that cannot is marked as untried. A method that learns across rooms is fitted to some
+    rooms, adapted to another, and predicts there. Raises `UnknownNameError` for an unknown name or option.
     """
     with tempfile.TemporaryDirectory() as folder:
         trial = _Trial(name_of(method), tuple(overrides), Path(folder))
@@ -85,12 +88,18 @@ def check_method(method: str | type, overrides: Texts = ()) -> list[CheckResult]
 
 
 def _results(trial: _Trial, stages: Sequence[Sequence[_Check]]) -> Iterator[CheckResult]:
-    for gate, *checks in stages:
-        result = _result(gate, trial)
-        yield result
-        if result.is_fault:
-            return
-        yield from (_result(check, trial) for check in checks)
+    broken: CheckResult | None = None  # the first of the gates, each the first check of a stage, that has a fault
+    num_sound = len(stages)
+    for number, (gate, *checks) in enumerate(stages):
+        for check in (gate, *checks):
+            needs = number + (check is not gate) if check.needs is None else check.needs
+            result = broken if broken and needs > num_sound else _result(check, trial)
+            if broken and result.fault == broken.fault:
+                why = f"not tried, because of the fault in {broken.requirement!r}"
+                result = CheckResult(check.requirement, why, is_untried=True)
+            yield result
+            if check is gate and result.is_fault and not broken:
+                broken, num_sound = result, number
 
 
 @dataclass(frozen=True)
@@ -99,6 +108,7 @@ class _Check:
     fault_of: Callable[[Any], object]  # the fault as a text; whatever else is returned means that there is none
     is_warning: bool = False
     compares_fits: bool = False  # which says something where equal seeds give equal maps
+    needs: int | None = None  # how many stages' gates have to be sound for it; all up to its own if None
 
 
 def _result(check: _Check, trial: _Trial) -> CheckResult:
@@ -379,7 +389,7 @@ _STAGES = (
         _Check("fit is a generator that yields Progress, its steps ascending", _fit_fault),
         _Check("predict is valid at fit's first yield, and fit can be closed there", _first_yield_fault),
         _Check("fit takes a budget in maps, in seconds, or none", _budgets_fault),
-        _Check("it computes on the device that it is told, if it has an option for that", _device_fault),
+        _Check("it computes on the device that it is told, if it has an option for that", _device_fault, needs=1),
         _Check("num_parameters is an integer of 0 or more", lambda trial: checked_num_parameters(trial.fitted)),
         _Check("findings, if it has them, are values that JSON holds", lambda trial: checked_findings(trial.fitted)),
     ),
@@ -391,17 +401,18 @@ _STAGES = (
         _Check(
             "predict returns maps for a transmitter that it was not trained on",
             lambda trial: trial.predict(trial.fitted, trial.test.rows[trial.test.tx_index == _UNSEEN_TX]),
+            needs=2,
         ),
         _Check("every map has peak 1", _peak_fault),
         _Check("predict answers the same when asked twice", _repeat_fault),
         _Check("a row's map does not depend on the other rows", _batch_fault),
         _Check("a row that is asked for alone gets the same map", _single_row_fault),
-        _Check("a method that was saved and loaded predicts the same", _saved_fault),
+        _Check("a method that was saved and loaded predicts the same", _saved_fault, needs=2),
         _Check("the same seed gives the same maps", _seed_fault, is_warning=True),
         _Check("predict and save do not change how training goes on", _peeking_fault, compares_fits=True),
         _Check("a fit that ends early can as well be closed at its last yield", _end_fault, compares_fits=True),
         _Check("only training rows are used", _leak_fault, compares_fits=True),
-        _Check("nothing is written into the working folder", _stray_file_fault),
+        _Check("nothing is written into the working folder", _stray_file_fault, needs=1),
     ),
 )
 
@@ -490,8 +501,8 @@ _ROOM_STAGES = (
         _Check("every map has peak 1", _peak_fault),
         _Check("a row that is asked for alone gets the same map", _RoomTrial.own_row_fault),
         _Check("adapting to one room changes nothing for the next", _RoomTrial.next_room_fault),
-        _Check("a method that was saved and loaded predicts the same", _saved_fault),
+        _Check("a method that was saved and loaded predicts the same", _saved_fault, needs=2),
         _Check("the same seed gives the same maps", _seed_fault, is_warning=True),
-        _Check("nothing is written into the working folder", _stray_file_fault),
+        _Check("nothing is written into the working folder", _stray_file_fault, needs=1),
     ),
 )

@@ -127,7 +127,7 @@ def _allowed(schema: Mapping[str, Any]) -> str:
 def _typed(config: Any, key: str, text: str) -> Any:
     names = [field.name for field in fields(config)]
     if not names:
-        raise MethodError(f"Option {key!r} is given, but the method has none ({type(config).__name__}).")
+        raise MethodError(f"Option {key!r} is given, but this method has no options. Leave it out.")
     if key not in names:
         raise UnknownNameError(f"option of {type(config).__name__}", key, names)
     kind = _types(config)[key]

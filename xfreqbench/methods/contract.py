@@ -15,7 +15,7 @@ from pydantic import Field
 
 from xfreqbench.data.collection import Collection
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import ArgumentError, MethodError
+from xfreqbench.errors import ArgumentError, MethodError, did_you_mean
 from xfreqbench.types import FloatArray, Maps
 
 
@@ -76,7 +76,7 @@ def parse_budget(text: str | None) -> Budget:
     if float(number) == 0:
         raise MethodError(
             f"A budget is written as in 300s, 5m, 2h, 2000steps or 64000maps, or is one of {', '.join(LANES)}, but "
-            f"{text!r} was given."
+            f"{text!r} was given.{did_you_mean(text, LANES)}"
         )
     if unit in ("steps", "maps"):
         return Budget(**{f"max_{unit}": int(number)})

@@ -59,7 +59,7 @@ def method_description(name: str) -> tuple[str, list[OptionRow]]:
     Raises as `build_method` does.
     """
     config = build_method(name).config
-    with method_code(f"Method {name!r} cannot be described:", "Mend its docstring or its config."):
+    with method_code(f"Method {name!r} cannot be described:", "Fix its docstring or its config."):
         own, generated = _docstring(type(config)), f"{type(config).__name__}("  # as dataclasses write theirs
         texts = [_docstring(resolve_method(name)), "" if own.startswith(generated) else own]
         return "\n\n".join(filter(None, texts)), option_rows(config)
@@ -93,7 +93,7 @@ def resolve_method(name: str) -> Callable[..., Any]:
         module, _, attribute = _entry_value(name).partition(":")
     elif str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))  # last, so that a module of the working folder hides no other
-    advice = "Install it, or mend it or its name."
+    advice = "Install it, or correct its name or its code."
     with method_code(f"Method {name!r} cannot be imported:", advice, passed=()):
         method_class = getattr(import_module(module), attribute)
     _check_contract(name, method_class)
@@ -134,7 +134,7 @@ def build_method(name: str, overrides: Iterable[str] = ()) -> Any:
     overrides = tuple(overrides)
     defaults = _constructed(name, method_class)
     for attribute in ("config", "num_parameters"):
-        with method_code(f"Method {name!r} failed in {attribute}:", "Mend it."):
+        with method_code(f"Method {name!r} failed in {attribute}:", "Fix it."):
             if not hasattr(defaults, attribute):
                 raise MethodError(f"Method {name!r} has no {attribute}; baselines/README.md shows where it goes.")
     if isinstance(defaults.config, type) or not is_dataclass(defaults.config):
@@ -143,7 +143,7 @@ def build_method(name: str, overrides: Iterable[str] = ()) -> Any:
         )
     if not overrides:
         return defaults
-    with method_code(f"Method {name!r} cannot be configured with {', '.join(overrides)}:", "Mend the values."):
+    with method_code(f"Method {name!r} cannot be configured with {', '.join(overrides)}:", "Correct the values."):
         config = override(defaults.config, overrides)
     return _constructed(name, method_class, config)
 

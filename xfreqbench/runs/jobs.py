@@ -11,7 +11,7 @@ from typing import Any
 
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.fingerprint import require_fingerprint
-from xfreqbench.data.splits import ScoredOn, Split, TargetsGhz, make_splits
+from xfreqbench.data.splits import ScoredOn, Split, TargetsGhz, left_out, make_splits
 from xfreqbench.errors import MethodError
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.methods.config import as_json
@@ -47,8 +47,9 @@ class Task:
         takes_others = isinstance(task.method, ReceiverMethod) and task.method.takes_other_receivers
         if split.receivers and not takes_others:
             raise MethodError(
-                f"Method {job.method!r} predicts the receiver that it was trained at alone; protocol "
-                f"{split.protocol!r} takes methods that set takes_other_receivers, as line-of-sight and nearest do."
+                f"Method {job.method!r} can only predict the receiver that it was trained at, but protocol "
+                f"{split.protocol!r} tests another. Run methods that set takes_other_receivers, as line-of-sight "
+                "and nearest do."
             )
         return task
 
@@ -92,9 +93,19 @@ class Task:
         return json_sha256(content)[:16]
 
     @property
-    def warning(self) -> str | None:
-        """Words on the tested carriers outside of the training band; None without any."""
-        return self.split.extrapolation(self.dataset)
+    def notes(self) -> list[str]:
+        """What a user may not expect: tested carriers outside of the training band, absent splits, one link of many."""
+        receivers = () if self.split.receivers else self.dataset.receivers
+        axes = zip(
+            ("receiver", "polarization"), self.dataset.link_names, (receivers, self.dataset.polarizations), strict=True
+        )
+        links = [
+            f"methods see {axis} {shown} of {', '.join(names)}; option {axis} chooses another"
+            for axis, shown, names in axes
+            if names
+        ]
+        absent = left_out(self.dataset) if self.split.protocol.startswith("sparse") else None
+        return [*links, *filter(None, (absent, self.split.extrapolation(self.dataset)))]
 
     @property
     def files(self) -> dict[Path, str]:
@@ -114,7 +125,7 @@ class Task:
     def method_errors(self, part: str) -> Iterator[None]:
         """Turn whatever the method raises in `part`, such as "fit", into a `MethodError` that says where."""
         failed = f"Method {self.job.method!r} failed in {part} on split {self.split.name!r}:"
-        with method_code(failed, "Mend it and run the same command again; finished jobs are kept."):
+        with method_code(failed, "Fix it and run the same command again; finished jobs are kept."):
             yield
 
 

@@ -97,9 +97,9 @@ class RoomTask(Task):
         return build_room_method(self.job.method, self.job.overrides)
 
     @property
-    def warning(self) -> str | None:
+    def notes(self) -> list[str]:
         """Nothing: a method may learn from other rooms at all carriers."""
-        return None
+        return []
 
     @property
     def files(self) -> dict[Path, str]:

@@ -154,8 +154,8 @@ def asked_tasks(
 def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:
     """The records of tasks, run where `executor` says; `progress` is that of `run`, and so are the errors raised."""
     if progress:
-        for warning in dict.fromkeys(filter(None, (task.warning for task in tasks))):
-            print(f"xfreqbench: {warning}", file=sys.stderr, flush=True)
+        for note in dict.fromkeys(note for task in tasks for note in task.notes):
+            print(f"xfreqbench: {note}", file=sys.stderr, flush=True)
         estimate = estimate_runs(tasks, results_dir, executor)
         if estimate.is_long:
             print(estimate, file=sys.stderr, flush=True)

@@ -81,7 +81,7 @@ def draw_room(family: FilePath | Family, seed: Annotated[int, Field(ge=0, lt=2**
     valid form.
     """
     family = family if isinstance(family, Family) else load_family(family)
-    with form_errors(f"room {seed} of family {family.name!r}"):
+    with form_errors(f"room {seed} of family {family.name!r}", Scene):
         return _drawn(family, seed)
 
 

@@ -6,12 +6,12 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from functools import partial
-from importlib.resources import files
+from importlib import resources
 from math import atan2, degrees, hypot, isclose, prod
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, cast, get_args
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
 from jaxtyping import Float
@@ -56,6 +56,7 @@ _STRICT = ConfigDict(extra="forbid")
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
 UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
 _OF_FILE = ("up", "unit", "outside", "mirrors", "least_patch_area_m2", "least_patch_width_m")  # of a scene
+_NOT_IN_TOML = {"folder", "other_receivers"}
 _ALWAYS_WRITTEN = {"name", "receiver", "description", "surface", "scene"}  # in JSON; other fields if they are given
 
 
@@ -491,7 +492,7 @@ def _shipped() -> dict[str, dict[str, Any]]:
 
 def shipped_folder() -> Path:
     """Where the scenes that ship with the toolkit are, with their meshes."""
-    return Path(str(files("xfreqbench.scenes")))
+    return Path(str(resources.files("xfreqbench.scenes")))
 
 
 def toml_path(name_or_path: str | Path, kind: str, shipped: Iterable[str]) -> Path:
@@ -528,21 +529,48 @@ def toml_content(text: str) -> dict[str, Any]:
 
 def validated(kind: type[Parsed], content: dict[str, Any], what: str) -> Parsed:
     """The content of a file of scenes as a scene or a family; raises `SceneError` that lists every fault."""
-    with form_errors(what):
+    with form_errors(what, kind):
         return TypeAdapter(kind).validate_python(content)
 
 
 @contextmanager
-def form_errors(what: str) -> Iterator[None]:
-    """A block in which faults of form become a `SceneError` that lists them; `what` has no valid form."""
+def form_errors(what: str, kind: type) -> Iterator[None]:
+    """A block in which faults of form become a `SceneError` that lists them; `what` is to be a dataclass `kind`."""
     try:
         yield
     except ValidationError as error:
         faults = "\n".join(
-            f"  {'.'.join(map(str, fault['loc'])) or what}: {fault['msg'].removeprefix('Value error, ')}"
-            for fault in error.errors()
+            f"  {_place(*fault['loc']) or what}: {_fault_words(kind, fault)}" for fault in error.errors()
         )
         raise SceneError(f"the {what} has no valid form:\n{faults}") from error
+
+
+def _place(*location: int | str) -> str:
+    """Where in a file a fault is, as in `receiver.1.rows`: the other receivers of a scene are `[[receiver]]` there."""
+    if location[:1] == ("other_receivers",) and len(location) > 1:
+        location = ("receiver", int(location[1]) + 1, *location[2:])
+    return ".".join(map(str, location))
+
+
+def _fault_words(kind: type, fault: Any) -> str:
+    """What Pydantic finds wrong, in words; of an unknown key the nearest one, and all that may stand in its place."""
+    if fault["type"] not in ("unexpected_keyword_argument", "extra_forbidden"):
+        return str(fault["msg"]).removeprefix("Value error, ")
+    *tables, key = fault["loc"]
+    for table in tables:
+        hints: Any = get_type_hints(kind)
+        kind = next(_dataclasses_in(hints[table])) if isinstance(table, str) else kind
+    return str(
+        UnknownNameError("key", str(key), (field.name for field in fields(kind) if field.name not in _NOT_IN_TOML))
+    )
+
+
+def _dataclasses_in(hint: Any) -> Iterator[type]:
+    """The dataclasses that a type hint names."""
+    if is_dataclass(hint):
+        yield cast("type", hint)
+    for part in get_args(hint):
+        yield from _dataclasses_in(part)
 
 
 @checked

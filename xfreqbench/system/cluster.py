@@ -148,7 +148,7 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
             heard = " ".join(str(error).split()) or "nothing is said"
             fault = heard if isinstance(error, OSError) else "what listens there is something else"
             raise ClusterError(
-                f"No Dask scheduler answers at {address}: {fault}. Start one with `dask scheduler`, or mend --executor."
+                f"No Dask scheduler answers at {address}: {fault}. Start one with `dask scheduler`, or fix --executor."
             ) from error
         with client:
             workers = DaskWorkers(client, address)

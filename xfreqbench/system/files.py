@@ -181,7 +181,7 @@ def storage_errors(path: Path, num_bytes: int = 0) -> Iterator[None]:
         needed = f", which needs {num_bytes:,} bytes" if num_bytes else ""
         raise StorageError(
             f"{path}{needed}, cannot be written: {error.strerror or error}. "
-            "Free some space, mend the folder's permissions, or choose another place."
+            "Free some space, correct the folder's permissions, or choose another place."
         ) from error
 
 

@@ -67,5 +67,5 @@ def _opened(address: str, process: int) -> Any:  # a forked process opens it ane
         if gives_ranges:
             return remfile.File(address)
     except Exception as error:  # remfile's have no other type
-        raise DataError(f"{address} cannot be opened: {error}. Mend the address, or try again later.") from error
+        raise DataError(f"{address} cannot be opened: {error}. Correct the address, or try again later.") from error
     raise DataError(f"The server of {address} gives no parts of files. Download it: xfreqbench.fetch({address!r})")

@@ -302,7 +302,7 @@ def choose_record(
     folder = ResultsFolder.holding(results)
     path, records = folder.records_path, folder.records
     if not records:
-        raise DataError(f"{path} holds no records of runs. Run `xfreqbench run` first, or mend the path.")
+        raise DataError(f"{path} holds no records of runs. Run `xfreqbench run` first, or correct the path.")
     explained = [record for record in records if "planes" in record.findings]
     if not explained:
         methods = ", ".join(sorted({record.job.method for record in records}))

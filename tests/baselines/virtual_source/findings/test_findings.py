@@ -275,15 +275,15 @@ def test_mistakes_are_told_before_anything_is_written(dataset: PasDataset, tmp_p
     append(tmp_path / "records.jsonl", make_record("nearest"))
     with pytest.raises(DataError, match="has findings; its methods are nearest"):
         findings_command(tmp_path, data=dataset.path, output=tmp_path / "out")
-    with pytest.raises(DataError, match="Give --data the file of the run"):
-        ComparedFindings.of(make_record("virtual-source", findings=findings_of()), dataset)
-    with pytest.raises(DataError, match=r"no planes and images: planes\.0\.distance_m"):
-        compared(dataset, plane("x", 8.0, distance_m="far"))
-    with pytest.raises(DataError, match="an image names a plane"):
-        ComparedFindings.of(record_of(dataset, findings_of(images=((0,),))), dataset)
     imported = written(tmp_path / "imported.h5", make_header())
-    with pytest.raises(DataError, match="does not say which scene"):
-        ComparedFindings.of(record_of(imported, findings_of()), imported)
+    for record, data, words in (
+        (make_record("virtual-source", findings=findings_of()), dataset, "Give --data the file of the run"),
+        (record_of(dataset, findings_of(plane("x", 8.0, distance_m="far"))), dataset, r"planes\.0\.distance_m"),
+        (record_of(dataset, findings_of(images=((0,),))), dataset, "an image names a plane"),
+        (record_of(imported, findings_of()), imported, "does not say which scene"),
+    ):
+        with pytest.raises(DataError, match=words):
+            ComparedFindings.of(record, data)
     assert not (tmp_path / "out").exists()
 
 
