@@ -11,14 +11,20 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from xfreqbench.report.leaderboard.columns import BRIEF
-from xfreqbench.report.leaderboard.overview import first_comparison, short_ranking
+from xfreqbench.report.drawing.markdown import ABSENT, table
+from xfreqbench.report.leaderboard.boards import Board
+from xfreqbench.report.leaderboard.columns import leaderboard_columns
+from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.paper import ship_maps
+from xfreqbench.report.leaderboard.published import reduced_statement
 from xfreqbench.report.leaderboard.report import WrittenReport, write_report
 from xfreqbench.report.leaderboard.results import read_results, results_at
+from xfreqbench.report.leaderboard.rows import median_ssim
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = [ROOT / "baselines" / f"{name}_results.jsonl" for name in ("reference", "paper_size", "unseen_rooms")]
@@ -32,6 +38,34 @@ def take(folders: list[Path]) -> None:
     RECORDS[0].write_bytes(b"".join((folder / "records.jsonl").read_bytes() for folder in folders))
 
 
+def readme_table(boards: Sequence[Board]) -> str:
+    """Five rows of the office, at the carriers at which `xfreq-gs-paper` was tested.
+
+    They are `virtual-source`, `xfreq-gs`, the best small version of another published system, the best baseline that is
+    not trained, with their ranks among all methods, and `xfreq-gs-paper`, whose budget is that of another board.
+    """
+    title = "office · lofo · power maps · "
+    quick, converged = (
+        next(board for board in boards if board.title.startswith(title + lane)) for lane in ("quick", "converged")
+    )
+    paper = next(row for row in converged.rows if (row.job.method, row.family) == ("xfreq-gs-paper", "learned"))
+    alone = Comparison.of(converged, paper)
+    plain = replace(quick, rows=tuple(row for row in quick.rows if row.family != "ablation"))
+    ranked = Comparison(plain, alone.splits)
+    shown = [
+        *((ranked, row) for row in ranked.rows if row.job.method in {"virtual-source", "xfreq-gs"}),
+        (ranked, next(row for row in ranked.rows if reduced_statement([row]))),
+        (ranked, next(row for row in ranked.rows if row.is_trivial)),
+        (alone, paper),
+    ]
+    body = []
+    for comparison, row in sorted(shown, key=lambda pair: -pair[1].average(alone.splits, median_ssim)):
+        columns = leaderboard_columns(comparison, ("rank", "maps", "average", "skill"))
+        rank, *others = (column.cell(row) for column in columns)
+        body.append([rank if comparison is ranked else ABSENT, row.job.method, *others])
+    return table(["rank", "method", "training maps", "median SSIM", "skill"], body)
+
+
 def remake(root: Path, page: Path | None = None) -> WrittenReport:
     """Make the pages below `root`, and the web page; pages of results that are made no more are removed."""
     found, details = read_results(RECORDS), root / "docs" / "results"
@@ -39,11 +73,8 @@ def remake(root: Path, page: Path | None = None) -> WrittenReport:
     for path in set(details.rglob("*.*")) - set(written.paths):
         if path.name != BY_HAND:
             path.unlink()
-    office = next(board for board in found.boards if board.title.startswith("office · lofo · power maps · quick"))
-    shown = short_ranking(first_comparison(office), BRIEF).split("\n\n")
-    table = next(part for part in shown if part.startswith("| "))
     readme = root / "README.md"
-    readme.write_text(TABLE.sub(lambda _: table, readme.read_text("utf-8")), "utf-8")
+    readme.write_text(TABLE.sub(lambda _: readme_table(found.boards), readme.read_text("utf-8")), "utf-8")
     if page is not None:
         write_page(found, page, results_at("v1"))
     return written

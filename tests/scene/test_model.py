@@ -11,6 +11,7 @@ import trimesh
 from xfreqbench.examples.make_office_cluttered import clutter, write_scene
 from xfreqbench.examples.what_clutter_adds import variants
 
+from tests.support.fuzzing.common import xfreqbench
 from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import Scattering
@@ -60,6 +61,14 @@ def test_every_shipped_scene_has_a_free_receiver_and_usable_transmitters(name: s
     check_overlaps(Geometry(meshes))
     assert len(placement.tx_position_m) + sum(placement.rejected.values()) == len(scene.transmitters.lattice_m)
     assert name in shipped_scenes()
+
+
+@pytest.mark.parametrize("name", shipped_scenes())
+def test_the_toml_of_a_shipped_scene_is_that_scene_in_any_folder(name: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(xfreqbench("scenes", name, "--toml").stdout, "utf-8")
+    mine, shipped = load_scene(str(tmp_path / "mine.toml")), load_scene(name)
+    assert replace(mine, scene=shipped.scene, folder=shipped.folder) == shipped
+    assert mine.scene is None or Path(mine.scene).is_file()
 
 
 def test_the_office_has_about_1446_transmitters_in_light_and_in_shadow() -> None:

@@ -68,6 +68,9 @@ print("loaded", sorted({HEAVY!r} & set(sys.modules)))
         ("split -o x.h5 --data x.h5 --targets-ghz x", "--targets-ghz takes carriers"),
         ("import nowhere -o x.h5", "There is no folder nowhere."),
         ("vew", 'Did you mean "view"?'),
+        ("scenes ofice --toml", "Did you mean 'office'"),
+        ("scenes office", "A name and --toml belong together"),
+        ("scenes --toml", "A name and --toml belong together"),
     ],
 )
 def test_mistakes_end_with_code_2_and_words(

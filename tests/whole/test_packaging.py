@@ -11,6 +11,7 @@ from pathlib import Path
 from subprocess import DEVNULL
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -85,6 +86,21 @@ def test_what_the_tests_run_with_is_what_the_package_allows() -> None:
     for needed in map(Requirement, sum(extras, project["dependencies"])):
         assert needed.specifier.contains(pinned[canonicalize_name(needed.name)]), needed
         assert "==" not in str(needed.specifier), f"{needed}: versions are pinned in constraints.txt alone"
+
+
+def test_the_version_is_the_same_wherever_it_is_said() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    released = re.findall(r"^## (.*)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    assert version == cited["version"] == released[0]
+    assert f"version = {{{version}}}" in (ROOT / "docs" / "questions.md").read_text("utf-8")
+
+
+def test_the_workflow_tests_every_python_that_is_promised() -> None:
+    workflow = yaml.safe_load((ROOT / ".github/workflows/tests.yml").read_text())
+    tested = [entry["python"] for entry in workflow["jobs"]["tests"]["strategy"]["matrix"]["include"]]
+    classifiers = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["classifiers"]
+    assert tested == [words[-1] for words in map(str.split, classifiers) if words[-1].startswith("3.")]
 
 
 def test_windows_is_told_what_runs_it() -> None:

@@ -37,9 +37,13 @@ Solver = Annotated[
 ]
 
 
-@app.command(group=DATA, help_epilogue=example("scenes"))
+@app.command(group=DATA, help_epilogue=example("scenes office --toml"))
 def scenes(
+    name: str | None = None,
     *,
+    toml: Annotated[
+        bool, Parameter(negative="", help="Print the TOML of the scene or family NAME, to start one of your own from.")
+    ] = False,
     schema: Annotated[bool, Parameter(negative="", help="Print the JSON Schema of scene files, for editors.")] = False,
     family_schema: Annotated[
         bool, Parameter(negative="", help="Print the JSON Schema of files of families of rooms.")
@@ -49,13 +53,20 @@ def scenes(
     import json
 
     from xfreqbench.scene import families
-    from xfreqbench.scene.model import scene_schema, shipped_families, shipped_scenes
+    from xfreqbench.scene.model import scene_schema, shipped_families, shipped_scenes, shipped_toml
 
+    if toml or name is not None:
+        if not (toml and name):
+            raise XFreqBenchError(
+                "A name and --toml belong together: `xfreqbench scenes office --toml` prints the file of the office."
+            )
+        print(shipped_toml(name), end="")
+        return
     if schema or family_schema:
         print(json.dumps(families.family_schema() if family_schema else scene_schema(), indent=2))
         return
-    for name, description in (shipped_scenes() | shipped_families()).items():
-        print(f"{name:12} {description}")
+    for shipped, description in (shipped_scenes() | shipped_families()).items():
+        print(f"{shipped:12} {description}")
 
 
 @app.command(group=DATA, help_epilogue=example("generate office --freqs 2.4,10,24.25 --tx 24 -o office.h5"))

@@ -490,6 +490,14 @@ def _shipped() -> dict[str, dict[str, Any]]:
     return {path.stem: tomllib.loads(read_text(path)) for path in sorted(shipped_folder().glob("*.toml"))}
 
 
+def shipped_toml(name: str) -> str:
+    """The TOML of a scene or family that ships, with whole paths to its meshes; raises `UnknownNameError`."""
+    if name not in (names := _shipped()):
+        raise UnknownNameError("scene", name, names)
+    text = read_text(shipped_folder() / f"{name}.toml")
+    return text.replace('\nscene = "', f'\nscene = "{shipped_folder()}/')
+
+
 def shipped_folder() -> Path:
     """Where the scenes that ship with the toolkit are, with their meshes."""
     return Path(str(resources.files("xfreqbench.scenes")))
