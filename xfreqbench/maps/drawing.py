@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DISPLAY_RANGE_DB = 30.0  # below the peak
+FIXED_WHITE, FIXED_BLACK = "#fffffe", "#000001"  # on a picture: a page in dark colours changes #ffffff and #000000
 _RINGS_DEG, _AZIMUTHS_DEG = (0, 30, 60), (0, 90, 180, 270)  # elevations, and azimuths, that a disc names
 
 
@@ -50,9 +51,9 @@ def draw_disc(
     axis.set_xticks(np.radians(_AZIMUTHS_DEG), [f"{azimuth}°" for azimuth in _AZIMUTHS_DEG], fontsize=6)
     axis.set_yticks([90 - ring for ring in _RINGS_DEG], [])
     for ring in _RINGS_DEG:
-        axis.text(np.radians(45), 90 - ring, f"{ring}°", fontsize=5, color="white", ha="right", va="top")
+        axis.text(np.radians(45), 90 - ring, f"{ring}°", fontsize=5, color=FIXED_WHITE, ha="right", va="top")
     axis.tick_params(pad=-3)
-    axis.grid(color="white", alpha=0.35, linewidth=0.4)
+    axis.grid(color=FIXED_WHITE, alpha=0.35, linewidth=0.4)
     axis.set_rlim(0, 90)
     return image
 

@@ -12,7 +12,7 @@ from xfreqbench.report.drawing.figures import is_own_drawing
 from xfreqbench.report.drawing.glb import GlbModel
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, table
 from xfreqbench.report.drawing.materials import material_hex
-from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_surface, packed
+from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_label, one_surface, packed
 from xfreqbench.report.drawing.templates import PageTable, Picture, is_of_subject, owner_mark, render
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.system.files import read_text, require_own, require_space, write_text
@@ -152,7 +152,7 @@ def write_page(compared: ComparedFindings, folder: Path, room: ScoredRoom | None
         tx=compared.tx,
         orbit=packed(_scene(compared, room)),
         layers=_LAYERS.items(),
-        key=key,
+        colours=key,
         pictures={name: Picture(name, alt, (folder / name).read_bytes()) for name, alt in _ALT.items()},
         tables={
             "planes": PageTable(*plane_rows(compared)),
@@ -184,6 +184,7 @@ def _scene(compared: ComparedFindings, room: ScoredRoom | None) -> dict[str, Any
         "transmitter": millimetres(compared.tx_m),
         "receiver": millimetres(receiver_m),
         "boresight": millimetres(np.stack([receiver_m, ahead_m])),
+        "labels": [one_label("receiver", receiver_m), one_label(f"transmitter {compared.tx}", compared.tx_m)],
     }
 
 

@@ -52,7 +52,7 @@ def test_fits_that_had_their_seconds_on_another_machine_are_not_ranked_and_named
         return {name: rows_of(markdown, name)[0]["rank"] for name in ("one", "other", "faster")}, markdown
 
     of_time, markdown = ranks(Budget(max_seconds=60.0))
-    assert of_time == {"one": "2", "other": "1", "faster": "–"}
+    assert of_time == {"one": "2", "other": "1", "faster": "other machine"}
     assert "as most fits had their seconds on AMD EPYC, 2 cores, and seconds of another machine" in markdown
     assert "hold more or fewer steps: faster." in markdown
     of_maps, markdown = ranks(Budget(max_maps=100))

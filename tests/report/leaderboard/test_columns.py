@@ -7,11 +7,19 @@ from html import unescape
 from math import inf, isnan
 from pathlib import Path
 
-from tests.support.leaderboard_records import leaderboard_markdown, make_records, of_three_seeds, rows_of
+from tests.support.leaderboard_records import leaderboard_markdown, make_records, of_three_seeds, rows_of, with_job
 from tests.support.stored_records import SPLITS, external, make_record, store
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.columns import COSTS, PAGE, RANKING, TABLE, leaderboard_columns, metric_title
+from xfreqbench.report.leaderboard.columns import (
+    COSTS,
+    PAGE,
+    PAGE_MORE,
+    RANKING,
+    TABLE,
+    leaderboard_columns,
+    metric_title,
+)
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.page import write_page
 
@@ -49,11 +57,18 @@ def test_scores_are_sorted_with_the_best_first_and_costs_with_the_least() -> Non
 
 
 def test_an_unknown_number_is_a_dash_and_has_no_place_in_the_order() -> None:
-    columns, rows = columns_of([make_record(), external("lofo-24.25GHz")], PAGE)
+    columns, rows = columns_of([make_record(), external("lofo-24.25GHz")], PAGE + PAGE_MORE)
     theirs = rows["theirs (external)"]
-    for title in ("rank", "fit s", "parameters"):
-        assert columns[title].text(theirs) == "–"
+    for title, text in {"rank": "one seed", "fit s": "–", "parameters": "–"}.items():
+        assert columns[title].text(theirs) == text
         assert isnan(columns[title].value(theirs))
+
+
+def test_the_cell_of_the_rank_says_why_a_row_has_none() -> None:
+    seeds = [with_job(make_record("two", id=str(seed)), seed=seed) for seed in range(2)]
+    columns, rows = columns_of([*of_three_seeds("ours", 0.02, 10), make_record("one"), *seeds, make_record()], PAGE)
+    said = {label: columns["rank"].text(row) for label, row in rows.items()}
+    assert said == {"ours": "1", "one": "one seed", "two": "2 seeds", "nearest": "no samples"}
 
 
 def test_ranks_are_sorted_by_the_best_place_and_then_by_the_worst() -> None:
@@ -67,7 +82,7 @@ def test_an_infinite_score_is_written_as_infinite() -> None:
     record = make_record()
     psnr = record.scores["psnr"].model_copy(update={"median": inf})
     perfect = record.model_copy(update={"scores": record.scores | {"psnr": psnr}})
-    columns, rows = columns_of([perfect], PAGE)
+    columns, rows = columns_of([perfect], PAGE_MORE)
     (row,) = rows.values()
     assert (columns["PSNR (dB)"].text(row), columns["PSNR (dB)"].value(row)) == ("∞", inf)
 

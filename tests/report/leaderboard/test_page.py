@@ -70,13 +70,21 @@ def test_the_table_without_a_script_holds_the_numbers_of_the_records(html: str, 
     page = Page(html)
     board = next(board for board in boards(stored(results)) if board.protocol == "lofo")
     for row in board.rows:
-        average, skill, _, *by_split = map(float, page.values[row.label][: 3 + len(SPLITS)])
+        _, average, skill, *by_split = map(float, page.values[row.label][: 3 + len(SPLITS)])
         assert by_split == [row.value(split, median_ssim) for split in SPLITS]
         assert average == row.average(SPLITS, median_ssim)
         assert np.isnan(skill)  # two of the trivial predictors were not run
     best = max((row for row in board.rows if row.is_trivial), key=lambda row: row.average(SPLITS, median_ssim))
     marked = [told["data-label"] for tag, told in page.tags if tag == "tr" and told.get("class") == "best-trivial"]
     assert marked[0] == best.label and len(marked) == 2  # one a table
+
+
+def test_the_leaderboard_comes_first_and_one_board_has_no_overview(html: str, tmp_path: Path) -> None:
+    marks = ['<table class="leaderboard">', 'id="overview"', 'id="charts"', 'id="facts"']
+    places = [html.index(mark) for mark in marks]
+    assert places == sorted(places)
+    alone = write_page(store(tmp_path, make_record("ours"), make_record("nearest")), tmp_path / "page.html")
+    assert 'id="overview"' not in alone.read_text("utf-8")
 
 
 def test_a_hostile_method_name_is_text_and_ends_no_script(html: str) -> None:
@@ -102,7 +110,7 @@ def test_the_tables_stand_beside_the_page_for_any_reader(file: Path, tmp_path: P
     frame = pyarrow.parquet.read_table(path.with_suffix(".parquet")).to_pylist()
     shown = Page(file.read_text("utf-8")).values
     assert {row["method"]: row["SSIM"] for row in rows if row["protocol"] == "lofo"}.items() <= {
-        (name, values[0]) for name, values in shown.items()
+        (name, values[1]) for name, values in shown.items()
     }
     assert [(row["method"], row["SSIM"]) for row in frame] == [(row["method"], float(row["SSIM"])) for row in rows]
     assert all("tested transmitters" in row["trained on"] for row in rows if row["protocol"] == "lofo")

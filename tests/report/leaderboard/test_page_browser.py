@@ -27,6 +27,11 @@ from xfreqbench.report.leaderboard.page import write_page
 
 pytestmark = needs_chromium
 
+WIDE_BOXES = """async boxes => {
+    await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));  // a box says it then
+    return boxes.map(box => [box.scrollWidth > box.clientWidth, box.matches('.wide')]);
+}"""
+
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[object]:
@@ -90,7 +95,11 @@ def test_names_and_families_filter_table_and_charts_alike(page) -> None:
     assert shown_labels(page) == ["slow (width=9)"]
     assert page.locator("#shown").inner_text() == f"1 of {len(METHODS) + len(LEARNED)} methods shown."
     page.uncheck("#families [value=ablation]")
-    assert shown_labels(page) == [] and "No method is shown" in page.locator("#pareto").inner_text()
+    assert shown_labels(page) == [] and not page.locator("#charts").is_visible()
+    assert page.locator("#none").inner_text().startswith("No row of this table matches the filter.")
+    page.locator("#none button").click()
+    assert len(shown_labels(page)) == len(METHODS) + len(LEARNED)
+    assert page.locator("#charts").is_visible() and not page.locator("#none").is_visible()
 
 
 def test_another_board_brings_its_own_table_and_charts_and_a_method_keeps_its_colour(page) -> None:
@@ -127,6 +136,8 @@ def test_every_chart_has_a_line_a_method_where_its_numbers_are(page) -> None:
     assert len(places) == number
     assert places["nearest"][0] < quick[0] < places[HOSTILE][0] < slow[0]
     assert slow[1] < quick[1] < places[HOSTILE][1]
+    ticks = page.locator("#pareto .tick[text-anchor=middle]").all_text_contents()
+    assert ticks == ["1", "10", "100", "1000", "< 0.1"]  # seconds of fitting; some methods need none
     before = page.locator("#cdfs svg").first.inner_html()
     page.select_option("#metric", "aoa_error")
     assert before != page.locator("#cdfs svg").first.inner_html()
@@ -139,14 +150,15 @@ def test_nothing_is_wider_than_the_screen(page) -> None:
     for device, scheme in product(WIDTHS, ("light", "dark")):
         set_screen(page, device, scheme)
         check_screen(page, device, scheme)
-        boxes = page.locator(".scroll:visible")
-        told = boxes.evaluate_all(
-            "boxes => boxes.map(box => [box.scrollWidth > box.clientWidth, box.matches('.wide')])"
-        )
-        assert all(is_wide == says_so for is_wide, says_so in told)
-        assert told[0] == [False, False]  # the overview
-        first = [head(page, title).bounding_box() for title in ("method", "average")]
-        assert max(box["x"] + box["width"] for box in first) <= WIDTHS[device][0]
+        titles = page.locator("table.leaderboard:visible thead th:visible").all_text_contents()
+        assert titles[:4] == ["rank", "method", "average", "skill"]
+        for every in (False, True):
+            page.locator("#every").set_checked(every)
+            told = page.locator(".scroll:visible").evaluate_all(WIDE_BOXES)
+            assert all(is_wide == says_so for is_wide, says_so in told)
+            assert told[:2] == [[every, every], [False, False]]  # the leaderboard, the overview
+        check_screen(page, device, scheme)
+        page.locator("#every").uncheck()
 
 
 def test_a_page_of_real_boards_opens_at_its_top_and_tells_what_competes(browser, tmp_path: Path) -> None:
@@ -159,11 +171,11 @@ def test_a_page_of_real_boards_opens_at_its_top_and_tells_what_competes(browser,
         record = make_record(method.partition(" ")[0], ssim, "lofo-24.25GHz", id=method, hardware=there)
         overrides = ("a=1",) if "(" in method else ()
         store(tmp_path, with_job(record, overrides=overrides))
+    store(tmp_path, make_record("nearest", 0.8, "sparse-24.25GHz", "sparse"))  # a second board
     with opened(browser, write_page(tmp_path, tmp_path / "page.html")) as page:
         page.wait_for_load_state()
         assert page.evaluate("scrollY") == 0 and "#" not in page.url
-        assert "ours: 24.25GHz 0.9000" in page.locator("#overview a").inner_text()
-        assert "best of 2 methods" in page.locator("#overview a").inner_text()
+        assert "ours: 24.25GHz 0.9000, skill 0.444; best of 2 methods" in page.locator("#overview a").first.inner_text()
         assert shown_labels(page)[:3] == ["ours (a=1)", "ours", "theirs"]
         assert page.locator(".set:visible .badge").count() == 1
         ticks = [float(text) for text in page.locator("#pareto .tick[text-anchor=end]").all_text_contents()]
@@ -213,7 +225,7 @@ def test_on_paper_and_without_a_script_every_board_has_its_whole_table_and_no_co
     plain.goto(file.as_uri())
     for each in (page, plain):
         assert each.locator("table.leaderboard:visible").count() == 2
-        assert not each.locator("#controls").is_visible()
+        assert not each.locator("#board").is_visible()
     context.close()
 
 
@@ -237,12 +249,13 @@ def test_what_is_shown_stands_in_the_address_and_an_address_shows_it_again(page)
     head(page, "fit s").locator("button").click()
     page.select_option("#cost", "parameters")
     page.select_option("#metric", "aoa_error")
+    page.check("#every")
     address, labels = page.url, shown_labels(page)
     assert address.partition("#")[2].startswith("board=")
-    for said in ("hide=trivial", "filter=s", "sort=fit+s", "cost=parameters", "metric=aoa_error"):
+    for said in ("hide=trivial", "filter=s", "sort=fit+s", "cost=parameters", "metric=aoa_error", "columns=all"):
         assert said in address
     page.goto(address.partition("#")[0] + "#nothing")
-    assert page.locator("#filter").input_value() == ""
+    assert page.locator("#filter").input_value() == "" and not page.locator("#every").is_checked()
     assert len(shown_labels(page)) == len(METHODS) + len(LEARNED)
     page.goto(address)
     assert shown_labels(page) == labels

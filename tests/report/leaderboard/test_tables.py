@@ -27,7 +27,7 @@ from xfreqbench.report.leaderboard.tables import csv_tables
 def test_the_summary_goes_by_average_ssim_and_gives_skill() -> None:
     markdown = leaderboard_markdown(make_records())
     assert rows_of(markdown, "ours")[0] == {
-        "rank": "–",
+        "rank": "one seed",
         "method": "ours",
         "2.4GHz": "0.9500",
         "24.25GHz": "0.9500",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise, product
@@ -22,7 +23,7 @@ from xfreqbench.report.view.write import write_view
 pytestmark = needs_chromium
 
 BACKGROUND = (20, 22, 28)
-DRAWN = {"scene.png": Picture("scene.png", "what is drawn", b"")}
+DRAWN = {"scene": [Picture("room.svg", "what is drawn", b"")]}
 SMOOTHED = 40  # levels by which a pixel at a line's rim may differ from the line's colour
 
 
@@ -44,8 +45,39 @@ def test_room_rays_and_both_ends_are_drawn(browser, folder: Path) -> None:
             assert page.locator("#orbit canvas").is_visible()
             assert drawn.shape[1] > 0.8 * {"desktop": 1060, "phone": 366}[device]
             assert 0.1 < (abs(drawn.astype(int) - BACKGROUND).max(axis=-1) > 5).mean() < 0.9
+            rim = np.concatenate([drawn[0], drawn[-1], drawn[:, 0], drawn[:, -1]])
+            assert abs(rim.astype(int) - BACKGROUND).max() < 5  # the whole room is within
+            labels = set(page.locator(".stage span:visible").all_text_contents())
+            assert labels >= {"receiver", "transmitter 0", "1", "2", "x: 8 m", "y: 6 m", "z: 2.8 m"}
             for colour in (ray_colour(0.0), (255, 255, 255), (213, 94, 0)):  # strongest ray, transmitter, receiver
                 assert num_near(drawn, colour) > 10
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_numbers_of_similarity_are_read_on_their_colours(browser, folder: Path, scheme: str) -> None:
+    """By WCAG 2: a contrast of 4.5 or more between a number and what lies under it."""
+    script = """texts => texts.map(text => {
+      const {left, top, width, height} = text.getBoundingClientRect();
+      const here = document.elementsFromPoint(left + width / 2, top + height / 2);
+      const below = here.find(each => each.tagName !== "text");
+      return [text, below].map(each => getComputedStyle(each).fill.match(/[0-9]+/g).map(Number));
+    })"""
+    tab = browser.new_page(viewport={"width": 1280, "height": 900}, color_scheme=scheme)
+    tab.goto((folder / "carriers.svg").as_uri())
+    numbers = tab.locator("text").filter(has_text=re.compile(r"^(0|1)\.\d\d$")).filter(visible=True)
+    pairs = [pair for pair in numbers.evaluate_all(script) if pair[1] not in ([255] * 3, [20, 23, 27])]
+    tab.close()
+    assert len(pairs) == 9  # of three carriers; those of the colour bar lie on paper
+    for ink, colour in pairs:
+        low, high = sorted((luminance(ink), luminance(colour)))
+        assert (high + 0.05) / (low + 0.05) >= 4.5, (ink, colour)
+
+
+def luminance(colour: list[int]) -> float:
+    """Relative luminance of an sRGB colour of levels from 0 to 255."""
+    share = np.array(colour[:3]) / 255
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return float(linear @ (0.2126, 0.7152, 0.0722))
 
 
 def test_drag_wheel_and_keys_turn_it_and_home_brings_it_back(browser, folder: Path) -> None:
@@ -81,7 +113,7 @@ def test_a_strong_ray_is_drawn_over_a_weak_one(browser, view: ViewPlan, tmp_path
     for rays in ([strong, weak], [weak]):
         shown = replace(view, dataset=None, room=replace(view.room, rays=rays[::order]))
         drawn = tmp_path / f"{len(rays)}.html"
-        drawn.write_text(view_page(shown, None, DRAWN, "scene.glb"), "utf-8")
+        drawn.write_text(view_page(shown, None, DRAWN, "scene.glb", "pas.png"), "utf-8")
         with opened(browser, drawn) as page:
             found.append([num_near(canvas_pixels(page), ray_colour(ray.level_db)) for ray in (strong, weak)])
     assert found[0][0] > 100 and found[0][1] < 0.1 * found[1][1]
@@ -97,10 +129,15 @@ def test_nothing_is_wider_than_the_screen_and_all_is_there_without_webgl(
         for device, scheme in product(WIDTHS, ("light", "dark")):
             set_screen(page, device, scheme)
             check_screen(page, device, scheme)
-        decode = "async image => { await image.decode(); return [image.naturalWidth, image.alt.length]; }"
+        boxes = page.locator(".scroll").evaluate_all("boxes => boxes.map(box => box.scrollWidth - box.clientWidth)")
+        assert max(boxes) <= 0  # tables and code are whole on a phone
+        decode = (
+            "async image => { await image.decode(); return [image.width, image.alt.length, image.src.slice(0, 18)]; }"
+        )
         pictures = [picture.evaluate(decode) for picture in page.locator("img").all()]
-        assert len(pictures) == 3
-        assert all(width > 400 and letters > 20 for width, letters in pictures)
+        assert len(pictures) == 1 + 3 + (1 if is_imported else 3)  # the room, maps, and how carriers compare
+        for width, letters, kind in pictures:
+            assert width > 300 and letters > 20 and kind == "data:image/svg+xml"  # whose paper is the page's
         assert page.locator("#orbit").count() == 1 and not page.locator("#orbit").is_visible()
         link = page.locator("a").evaluate("link => link.href")
         assert Path(link.removeprefix("file://")).read_bytes()[:4] == b"glTF"

@@ -26,6 +26,8 @@ from xfreqbench.report.view.summary import similarity, summarize
 from xfreqbench.report.view.write import FILES, write_view
 from xfreqbench.scene.materials import ConstantMaterial
 
+PICTURES = {part: [Picture(f"{part}.svg", "", b"")] for part in ("scene", "maps", "carriers")}
+
 
 def test_all_files_are_written_and_show_something(folder: Path) -> None:
     assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
@@ -53,6 +55,14 @@ def test_the_page_s_lines_of_python_load_the_data(
     assert isinstance(maps, np.ndarray)
     assert f"({', '.join(map(str, maps.shape))})" in unescape(code)
     np.testing.assert_array_equal(maps, dataset.pas(np.flatnonzero(dataset.tx_index == 0)))
+
+
+def test_the_page_names_the_command_for_another_transmitter(folder: Path, view: ViewPlan) -> None:
+    text = page_text(folder)
+    (tx,) = re.findall(r"xfreqbench view room\.h5 --tx (\d+) -o FOLDER", text)
+    (shadowed,) = re.findall(r"Transmitter (\d+) is in shadow", text)
+    assert int(tx) == view.room.tx + 1 and view.room.in_sight is not None
+    assert view.room.in_sight[view.room.tx] and not view.room.in_sight[int(shadowed)]
 
 
 def test_similarity_is_the_median_ssim_of_each_pair_of_carriers(dataset: PasDataset) -> None:
@@ -84,8 +94,7 @@ def test_of_one_carrier_nothing_is_compared(tmp_path: Path) -> None:
     unknown = replace(summarize(alone), peak_db=None, num_paths=None)  # as of imported maps: there is nothing to draw
     plot_carriers(unknown, tmp_path / "carriers.svg")
     assert not (tmp_path / "carriers.svg").exists()
-    pictures = {name: Picture(name, "", b"") for name in ("scene.png", "pas.png")}
-    assert "From carrier to carrier" in view_page(plan_view(str(alone.path)), unknown, pictures, "scene.glb")
+    assert "From carrier to carrier" in view_page(plan_view(str(alone.path)), unknown, PICTURES, "scene.glb", "pas.png")
 
 
 def test_imported_maps_show_places_alone_and_say_why(imported: PasDataset, tmp_path: Path) -> None:
@@ -127,8 +136,8 @@ def test_names_from_the_data_are_shown_as_they_are(dataset: PasDataset, view: Vi
         subject=hostile,
         missing=f"two\nlines {hostile}",
     )
-    pictures = {name: Picture(name, f'"{hostile}', b"") for name in ("scene.png", "pas.png", "carriers.svg")}
-    html = view_page(shown, summarize(dataset), pictures, hostile)
+    pictures = {part: [Picture("a.svg", f'"{hostile}', b"")] for part in PICTURES}
+    html = view_page(shown, summarize(dataset), pictures, hostile, hostile)
     ours = ['<script type="application/gzip" id="orbit-scene">', "<script>", "<script>"]
     assert re.findall("<script[^>]*>", html) == ours and html.count("&lt;script&gt;alert(1)") >= 12
     assert is_of_subject(html, hostile) and not is_of_subject(html, "another")
@@ -138,7 +147,6 @@ def test_a_material_of_the_scene_s_own_says_that_it_is_the_same_everywhere(view:
     own = ConstantMaterial("<b>foam</b>", 1.5, 0.002)
     first, *others = view.room.meshes
     room = replace(view.room, meshes=[replace(first, material=own), *others])
-    pictures = {name: Picture(name, "", b"") for name in ("scene.png", "pas.png", "carriers.svg")}
-    shown = view_page(replace(view, room=room, dataset=None), None, pictures, "scene.glb")
+    shown = view_page(replace(view, room=room, dataset=None), None, PICTURES, "scene.glb", "pas.png")
     assert "&lt;b&gt;foam&lt;/b&gt;" in shown and "<b>foam" not in shown
     assert "none: the scene&#39;s own, the same at every carrier" in shown

@@ -41,7 +41,25 @@
   }
   bounds.expandByPoint(vectors(room.receiver)[0]);
   const size = bounds.getSize(new THREE.Vector3()).length() || 1, middle = bounds.getCenter(new THREE.Vector3());
-  const pixel = 0.85 * size / canvas.clientHeight;  // metres, in the middle of the room as it is first seen
+  const towards = (turn, tilt) =>
+    new THREE.Vector3(Math.cos(tilt) * Math.cos(turn), Math.cos(tilt) * Math.sin(turn), Math.sin(tilt));
+  const start = {turn: -1.1, tilt: 0.75, distance: 0};  // radians, metres
+  // From this distance all of the room is seen: every corner of its box lies within the picture.
+  const fitted = () => {
+    const away = towards(start.turn, start.tilt), right = new THREE.Vector3().crossVectors(camera.up, away).normalize();
+    const above = new THREE.Vector3().crossVectors(away, right);
+    const tall = 0.94 * Math.tan(camera.fov * Math.PI / 360), wide = tall * camera.aspect;
+    const distances = [0, 1, 2, 3, 4, 5, 6, 7].map((corner) => {
+      const [x, y, z] = [1, 2, 4].map((bit) => bounds[corner & bit ? "max" : "min"]);
+      const at = new THREE.Vector3(x.x, y.y, z.z).sub(middle);
+      return at.dot(away) + Math.max(Math.abs(at.dot(right)) / wide, Math.abs(at.dot(above)) / tall);
+    });
+    return Math.max(...distances, 0.1 * size);
+  };
+  camera.aspect = canvas.clientWidth / canvas.clientHeight;
+  start.distance = fitted();
+  // metres, in the middle of the room as it is first seen
+  const pixel = 2 * Math.tan(camera.fov * Math.PI / 360) * start.distance / canvas.clientHeight;
 
   for (const {colour, points, layer, size: pixels = 1.3} of room.groups) {
     const geometry = new THREE.BufferGeometry().setFromPoints(vectors(points));
@@ -67,19 +85,33 @@
   addBall(room.receiver, "#d55e00");
   addBall(room.transmitter, "#ffffff");
 
+  const labels = room.labels.map(({text, at}) => {
+    const label = document.createElement("span");
+    label.textContent = text;
+    canvas.after(label);
+    return {label, point: vectors(at)[0]};
+  });
+  const place = ({label, point}) => {
+    const {x, y, z} = point.clone().project(camera);
+    label.hidden = Math.max(Math.abs(x), Math.abs(y), z) > 1;  // outside of the picture, or behind the eye
+    const left = (0.5 + 0.5 * x) * canvas.clientWidth - label.offsetWidth / 2;
+    const top = (0.5 - 0.5 * y) * canvas.clientHeight + (y < 0 ? 8 : -8 - label.offsetHeight);
+    const within = Math.min(Math.max(left, 4), canvas.clientWidth - label.offsetWidth - 4);
+    Object.assign(label.style, {left: `${Math.round(within)}px`, top: `${Math.round(top)}px`});
+  };
+
   const renderer = new THREE.WebGLRenderer({canvas, context, antialias: true});
-  const start = {turn: -1.1, tilt: 0.75, distance: 1.35 * size};  // radians, metres
   let eye = {...start}, asked = 0;
   const draw = () => {
     asked = 0;
     eye.tilt = Math.min(1.55, Math.max(-1.55, eye.tilt));
     eye.distance = Math.min(5 * size, Math.max(0.1 * size, eye.distance));
     const {turn, tilt, distance} = eye;
-    const away = [Math.cos(tilt) * Math.cos(turn), Math.cos(tilt) * Math.sin(turn), Math.sin(tilt)];
-    camera.position.fromArray(away).multiplyScalar(distance).add(middle);
+    camera.position.copy(towards(turn, tilt)).multiplyScalar(distance).add(middle);
     camera.lookAt(middle);
     lamp.position.copy(camera.position);
     renderer.render(scene, camera);
+    labels.forEach(place);
   };
   const move = (turn, tilt, nearer = 1) => {
     eye = {turn: eye.turn + turn, tilt: eye.tilt + tilt, distance: eye.distance / nearer};
@@ -134,6 +166,9 @@
     renderer.setSize(canvas.clientWidth, canvas.clientHeight, false);
     camera.aspect = canvas.clientWidth / canvas.clientHeight;
     camera.updateProjectionMatrix();
+    const isFitted = eye.distance === start.distance;
+    start.distance = fitted();
+    if (isFitted) eye.distance = start.distance;
     draw();
   }).observe(canvas);
 })();

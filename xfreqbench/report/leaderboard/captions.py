@@ -26,8 +26,8 @@ _LEADERBOARD_TERMS = {
     "decides which is better, and that is not known to a tenth of its distance from zero, is taken from 16,000 "
     "resamples, and as 0 where these do not suffice",
     "rank": "the best and the worst place that the intervals of the differences allow, in a table that is sorted by "
-    f"averages; not corrected for the number of comparisons. A dash: fewer than {MIN_SEEDS} seeds, so no rank (a "
-    "trivial predictor needs no seed), or a budget in seconds on another machine than most",
+    f"averages; not corrected for the number of comparisons. Words say why there is no rank: fewer than "
+    f"{MIN_SEEDS} seeds (a trivial predictor needs one), or a budget in seconds on another machine than most",
 }
 _OTHER_TERMS = {
     "seeds**, **± seeds": "fits of each split, over which every number is a mean, and the standard deviation of the "

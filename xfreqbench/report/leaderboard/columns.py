@@ -94,15 +94,15 @@ TABLE = (
     *("skill", "seed spread", "seeds", *COSTS, "trained on"),
 )
 PAIR = (*_OTHER_METRICS, *COSTS)
-PAGE = (
-    *("method", "average", "skill", "rank", "splits", "p10", "seeds"),
-    *("psnr", "power_error", "aoa_error", "beam_loss"),
-    *("seconds", "milliseconds", "memory", "parameters", "origin", "trained on"),
+PAGE = ("rank", "method", "average", "skill", "splits", "aoa_error", "seconds", "milliseconds")
+PAGE_MORE = (  # which the page shows when it is asked to
+    *("seeds", "p10", "psnr", "power_error", "beam_loss"),
+    *("memory", "parameters", "origin", "trained on"),
 )
 
 
 def leaderboard_columns(comparison: Comparison, names: Sequence[str]) -> list[LeaderboardColumn]:
-    """Columns of a comparison by name, such as those of `RANKING`, `BRIEF`, `TABLE`, `PAIR` or `PAGE`.
+    """Columns of a comparison by name, such as those of `RANKING`, `BRIEF`, `TABLE`, `PAIR`, `PAGE` or `PAGE_MORE`.
 
     `splits` stands for a column of each split where there are several. Columns that no record of the board has a
     number for are left out.
@@ -142,9 +142,9 @@ def _columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]:
     found = [
         LeaderboardColumn(
             "rank",
-            "places that the intervals leave open",
+            "places that the intervals leave open, or why there is no rank",
             lambda row: place(0)(row) + place(1)(row) / 1e4,  # by the best place, then by the worst
-            words=lambda row: _span(comparison.ranks(row)),
+            words=lambda row: comparison.unranked(row) or _span(comparison.ranks(row)),
         ),
         LeaderboardColumn("best rank", "best place that the intervals leave open", place(0), ".0f"),
         LeaderboardColumn("worst rank", "worst place that the intervals leave open", place(1), ".0f"),

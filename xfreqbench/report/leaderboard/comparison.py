@@ -81,6 +81,15 @@ class Comparison:
         needed = 1 if row.is_trivial else MIN_SEEDS
         return self._has_samples(row) and row.num_seeds(self.splits)[0] >= needed
 
+    def unranked(self, row: BoardRow) -> str:
+        """Why a row has no rank, in two words such as `one seed`; empty where it has one."""
+        if self.is_ranked(row):
+            return ""
+        seeds = row.num_seeds(self.splits)[0]
+        if not row.is_trivial and seeds < MIN_SEEDS:
+            return "one seed" if seeds == 1 else f"{seeds} seeds"
+        return "other machine" if self._has_samples(row) else "no samples"
+
     @cached_property
     def timed_on(self) -> str:
         """The machine of most of the fits whose budget is a time; empty where there is no such fit."""

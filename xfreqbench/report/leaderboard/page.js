@@ -68,6 +68,10 @@ function showBoard() {
   fill(find("#set"), sets.map((set) => [set.dataset.set, set.dataset.title]));
   fill(find("#metric"), Object.entries(board().metrics));
   fill(find("#shown-method"), Object.keys(board().gallery.cases).map((label) => [label, label]));
+  const families = new Set(Object.values(board().rows).map(({ family }) => family));
+  for (const box of all("#families input")) box.parentNode.hidden = !families.has(box.value);
+  find("#families").hidden = families.size < 2;
+  for (const choice of ["#board", "#set"]) find(choice).parentNode.hidden = find(choice).options.length < 2;
   showSet();
 }
 
@@ -82,6 +86,12 @@ function filterRows() {
   for (const row of rows) row.hidden = !isShown(row);
   find("#shown").textContent = `${rows.filter((row) => !row.hidden).length} of ${rows.length} methods shown.`;
   draw();
+}
+
+function showAllRows() {
+  find("#filter").value = "";
+  for (const box of all("#families input")) box.checked = true;
+  filterRows();
 }
 
 // ---- sorting
@@ -134,7 +144,7 @@ function linearTicks([low, high], count) {
 function logTicks([low, high], count) {
   const decades = Math.log10(high / low);
   if (decades < 0.5) return linearTicks([low, high], count);
-  const digits = [[1, 2, 3, 5, 7], [1, 2, 5], [1, 3], [1]].find((each) => each.length * decades <= count) ?? [1];
+  const digits = [[1, 2, 3, 5], [1, 2, 5], [1, 3], [1]].find((each) => each.length * decades <= count) ?? [1];
   const every = Math.ceil(decades / count);
   const ticks = [];
   for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power += every)
@@ -168,14 +178,14 @@ function readable(value) {
 
 // ---- charts
 
-// An empty chart with axes: `x` and `y` have a label and values, which say the domain, and may be log.
+// An empty chart with axes: `x` and `y` have a label and values, or a domain, and may be log.
 function chart(host, title, height, x, y) {
   const figure = element("figure", {}, ...(title ? [element("figcaption", {}, title)] : []));
   host.append(figure);
   const width = Math.max(240, Math.min(figure.clientWidth, 900));
   const box = { left: 52, right: width - 10, top: 8, bottom: height - 36 };
   const svg = drawn("svg", { viewBox: `0 0 ${width} ${height}`, width, height, role: "group", "aria-label": title });
-  const xScale = scale(x.domain ?? extent(x.values, x), [box.left, box.right], x.log, width / 80);
+  const xScale = scale(x.domain ?? extent(x.values, x), [box.left, box.right], x.log, x.count ?? width / 80);
   const yScale = scale(y.domain ?? extent(y.values, y), [box.bottom, box.top], y.log, 5);
   const xTicks = xScale.ticks.filter((tick) => tick >= (x.from ?? -Infinity));
   svg.append(...xTicks.flatMap((tick) => xTick(xScale.at(tick), box, readable(tick))));
@@ -228,8 +238,8 @@ function empty(host, text) {
 
 // ---- the four kinds of charts
 
-// Points cheaper than `least` stand at the left edge: what costs nothing has no place on a logarithmic axis. Whose
-// cost nobody tells has no place at all.
+// The axis of costs has whole decades. What costs nothing has no place on it: points cheaper than `least` lie one
+// decade to the left of all others. Points whose cost is not known are left out.
 function drawPareto(host) {
   host.replaceChildren();
   const cost = find("#cost");
@@ -239,17 +249,19 @@ function drawPareto(host) {
   if (!points.length) return empty(host, "No method is shown whose cost is known.");
   const dear = points.filter((point) => point.cost >= least);
   const hasEdge = dear.length < points.length;
-  const [low, high] = extent(dear.map((point) => point.cost), { log: true });
-  const beyond = (share) => low * (low / high) ** share;
-  const place = (point) => (point.cost < least ? beyond(0.09) : point.cost);
+  const decade = (value, round) => 10 ** round(Math.log10(value));
+  const costs = dear.length ? dear.map((point) => point.cost) : [1];
+  const low = decade(Math.min(...costs), Math.floor);
+  const high = Math.max(decade(Math.max(...costs), Math.ceil), 10 * low);
+  const place = (point) => (point.cost < least ? low / 10 : point.cost);
   const far = offScale();
   const near = points.filter((point) => !far.includes(point.name));
   const [bottom, top] = extent(near.map((point) => point.ssim), { margin: 0.12 });
   for (const point of points) point.height = Math.max(point.ssim, bottom);
   const plot = chart(host, "", host.clientWidth < 500 ? 340 : 400,
-    { label: cost.selectedOptions[0].textContent, domain: [hasEdge ? beyond(0.12) : low, high], log: true, from: low },
+    { label: cost.selectedOptions[0].textContent, domain: [hasEdge ? low / 13 : low, high], log: true, from: low, count: 5 },
     { label: "average median SSIM", domain: [bottom, top] });
-  if (hasEdge) plot.svg.append(...xTick(plot.x(beyond(0.09)), plot.box, `< ${least}`));
+  if (hasEdge) plot.svg.append(...xTick(plot.x(low / 10), plot.box, cost.value === "parameters" ? "0" : `< ${least}`));
   if (near.length) drawFront(plot, near, place);
   const taken = points.map((point) => around(plot.x(place(point)), plot.y(point.height)));
   for (const point of points) plot.svg.append(pointOf(plot, point, place(point)));
@@ -484,6 +496,16 @@ const png = (picture) => `data:image/png;base64,${picture}`;
 
 function draw() {
   if (isReading) return;  // once, when all choices are made
+  const isEmpty = !shownRows().length;
+  find("#none").hidden = !isEmpty;
+  find("#charts").hidden = isEmpty;
+  if (!isEmpty) drawCharts();
+  if (find("#benches")?.open) drawMeasurements();
+  offerFigures();
+  writeAddress();
+}
+
+function drawCharts() {
   find("#charts h2").textContent = `Charts: ${board().title}`;
   drawLegend();
   drawPareto(find("#pareto .panels"));
@@ -491,9 +513,6 @@ function draw() {
   drawCarriers(find("#carriers .panels"));
   drawDistributions(find("#cdfs .panels"));
   drawGallery();
-  if (find("#benches")?.open) drawMeasurements();
-  offerFigures();
-  writeAddress();
 }
 
 function whenWidthChanges(action) {
@@ -515,6 +534,8 @@ function start() {
   find("#controls").addEventListener("submit", (event) => event.preventDefault());
   find("#filter").addEventListener("input", filterRows);
   find("#families").addEventListener("change", filterRows);
+  find("#none button").addEventListener("click", showAllRows);
+  find("#every").addEventListener("change", writeAddress);
   find("#cost").addEventListener("change", draw);
   find("#metric").addEventListener("change", draw);
   find("#shown-method").addEventListener("change", () => { drawGallery(); writeAddress(); });

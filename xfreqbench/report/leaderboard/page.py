@@ -16,7 +16,7 @@ from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.templates import COLOURS, render
 from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.captions import data_statement, facts, leak_statement, notes
-from xfreqbench.report.leaderboard.columns import COSTS, PAGE, leaderboard_columns, metric_title
+from xfreqbench.report.leaderboard.columns import COSTS, PAGE, PAGE_MORE, leaderboard_columns, metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.gallery import Gallery, gallery, scales
 from xfreqbench.report.leaderboard.learning_curves import best_trivial
@@ -34,6 +34,7 @@ _TITLE = "xfreqbench results"  # a page with this title was written by us, and m
 Content = dict[str, Any]
 CHART_COSTS = ("seconds", "milliseconds", "parameters")  # against which the page draws accuracy
 _DIGITS = 4
+_MOST_SPLITS = 5  # whose columns the page shows at first
 _PLURALS = {"trivial": "trivial predictors", "ablation": "ablations"}
 
 
@@ -127,7 +128,7 @@ def _tables(comparisons: Sequence[Comparison]) -> Content:
         "sets": [
             {
                 "splits": list(map(short_name, comparison.splits)),
-                "columns": leaderboard_columns(comparison, PAGE),
+                **_page_columns(comparison),
                 "rows": comparison.rows,
                 "best_trivial": next((row for row in comparison.rows if row.is_trivial), None),
                 "notes": notes(comparison),
@@ -135,6 +136,16 @@ def _tables(comparisons: Sequence[Comparison]) -> Content:
             for comparison in comparisons
         ],
     }
+
+
+def _page_columns(comparison: Comparison) -> Content:
+    """All columns of a table, and those among them that are shown when they are asked for."""
+    names, more_names = list(PAGE), list(PAGE_MORE)
+    if len(comparison.splits) > _MOST_SPLITS:
+        names.remove("splits")
+        more_names.append("splits")
+    more = leaderboard_columns(comparison, more_names)
+    return {"columns": [*leaderboard_columns(comparison, names), *more], "more": more}
 
 
 def _overview(compared: Sequence[Comparison], protocols: Sequence[str]) -> dict[str, list[list[Content]]]:

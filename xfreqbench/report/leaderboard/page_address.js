@@ -15,6 +15,7 @@ function writeAddress() {
   }
   const hidden = all("#families input:not(:checked)").map((box) => box.value);
   if (hidden.length) address.set("hide", hidden.join(","));
+  if (find("#every").checked) address.set("columns", "all");
   if (orderOf(table()) !== table().dataset.order) address.set("sort", orderOf(table()));
   // The page as it opens has no address: a browser that finds one while it loads goes to the place it names.
   const { value, options } = find("#board");
@@ -29,6 +30,7 @@ function readAddress() {
   const hidden = (address.get("hide") ?? "").split(",");
   for (const box of all("#families input")) box.checked = !hidden.includes(box.value);
   find("#filter").value = address.get("filter") ?? "";
+  find("#every").checked = address.get("columns") === "all";
   showBoard();
   for (const name of ["set", "cost", "metric", "maps"]) choose(CHOICES[name], address.get(name));
   showSet();

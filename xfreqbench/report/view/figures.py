@@ -15,9 +15,16 @@ from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from xfreqbench.maps.drawing import draw_disc
+from xfreqbench.maps.drawing import FIXED_BLACK, FIXED_WHITE, draw_disc
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.report.drawing.figures import label_decades, panels, plain_style, plan_and_elevation, save_figure
+from xfreqbench.report.drawing.figures import (
+    figure_kind,
+    label_decades,
+    panels,
+    plain_style,
+    plan_and_elevation,
+    save_figure,
+)
 from xfreqbench.report.drawing.materials import material_hex
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.view.room import RAY_RANGE_DB, Ray, ShownRoom
@@ -27,7 +34,9 @@ from xfreqbench.types import FloatArray, NDArray
 
 _MARGIN_M = 0.25
 _OVERVIEW_MAPS = 6
-_NUMBERED_RAYS = 9  # more numbers would cover each other
+NUMBERED_RAYS = 9  # more numbers would cover each other
+_WIDTH_IN = {"png": 9.0, "svg": 5.2}  # of the room; pages show the narrow one, whose text is read on a phone too
+_MANY_LINES = 300  # more are stored as pixels in an SVG
 _SSIM_COLOURS = "viridis"
 _RAY_COLOURS = ListedColormap(mpl.colormaps["plasma"](np.linspace(0.2, 1, 256)), "rays")  # weak ones are dark
 _RAY_SCALE = Normalize(-RAY_RANGE_DB, 0)
@@ -41,6 +50,7 @@ _GROUP_COLOURS = {
     "all transmitters": "#0072b2",
 }
 
+CARRIER_PARTS = ("similarity", "power", "paths")
 Rgba = tuple[int, int, int, int]
 
 
@@ -56,8 +66,12 @@ def group_colour(name: str) -> Rgba:
 
 @plain_style()
 def plot_room(room: ShownRoom, path: Path) -> None:
-    """Draw plan and elevation of a scene as PNG, with the numbers of its strongest rays. Raises `StorageError`."""
-    figure, views = plan_and_elevation(*bounds_m(room), width_in=9.0)
+    """Draw plan and elevation of a scene, with the numbers of its strongest rays, as PNG or, narrower, as SVG.
+
+    Raises `StorageError`.
+    """
+    kind = figure_kind(path)
+    figure, views = plan_and_elevation(*bounds_m(room), _WIDTH_IN[kind])
     for axis, shown in views:
         _draw_view(axis, room, shown)
     if room.rays:
@@ -69,8 +83,8 @@ def plot_room(room: ShownRoom, path: Path) -> None:
         Line2D([], [], color=material_hex(name), label=name.replace("_", " "))
         for name in sorted({str(mesh.material) for mesh in room.meshes})
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize="small")
-    save_figure(figure, path, "png")
+    figure.legend(handles=handles, loc="outside lower center", ncols=4 if kind == "png" else 2, fontsize="small")
+    save_figure(figure, path, kind)
 
 
 @plain_style()
@@ -99,21 +113,22 @@ def plot_overview(
 
 
 @plain_style()
-def plot_carriers(summary: CarrierSummary, path: Path) -> None:
+def plot_carriers(summary: CarrierSummary, path: Path, parts: Sequence[str] = CARRIER_PARTS) -> None:
     """Draw, as SVG, how similar maps are between carriers, and power and paths if these are known; else nothing.
 
     Equal summaries give equal bytes. Raises `StorageError`.
     """
     is_known = {
-        _draw_similarity: len(summary.similarity.carrier_hz) > 1,
-        _draw_power: summary.peak_db is not None,
-        _draw_path_counts: summary.num_paths is not None,
+        "similarity": (_draw_similarity, len(summary.similarity.carrier_hz) > 1),
+        "power": (_draw_power, summary.peak_db is not None),
+        "paths": (_draw_path_counts, summary.num_paths is not None),
     }
-    drawn = [draw for draw, known in is_known.items() if known]
+    drawn = [draw for draw, known in map(is_known.__getitem__, parts) if known]
     if not drawn:
         return
-    figure = Figure(figsize=(10, 4.1 * -(-len(drawn) // 2)), layout="constrained")
-    for axis, draw in zip(panels(figure, len(drawn), min(2, len(drawn))), drawn, strict=True):
+    columns = min(2, len(drawn))
+    figure = Figure(figsize=(5 * columns, 4.1 * -(-len(drawn) // 2)), layout="constrained")
+    for axis, draw in zip(panels(figure, len(drawn), columns), drawn, strict=True):
         draw(axis, summary)
     save_figure(figure, path, "svg")
 
@@ -147,11 +162,14 @@ def draw_outlines(axis: Any, room: ShownRoom, shown: list[int]) -> None:
 
 def _draw_view(axis: Any, room: ShownRoom, shown: list[int]) -> None:
     draw_outlines(axis, room, shown)
+    for line in axis.lines:
+        line.set_rasterized(len(axis.lines) > _MANY_LINES)
     for name, position_m in room.groups().items():
         size = float(np.clip(4000 / max(1, len(room.tx_position_m)), 0.5, 16))
-        axis.scatter(*position_m[:, shown].T, s=size, color=_GROUP_COLOURS[name], alpha=0.55, linewidths=0)
+        colour: dict[str, Any] = {"color": _GROUP_COLOURS[name], "alpha": 0.55, "linewidths": 0}
+        axis.scatter(*position_m[:, shown].T, s=size, rasterized=True, **colour)
     _draw_rays(axis, room.rays, shown)
-    axis.plot(*room.tx_m[shown], "*", color="black", markersize=13, markeredgecolor="white", zorder=6)
+    axis.plot(*room.tx_m[shown], "*", color=FIXED_WHITE, markersize=13, markeredgecolor=FIXED_BLACK, zorder=6)
 
 
 def _draw_rays(axis: Any, rays: Sequence[Ray], shown: list[int]) -> None:
@@ -159,20 +177,25 @@ def _draw_rays(axis: Any, rays: Sequence[Ray], shown: list[int]) -> None:
     colours = [_RAY_COLOURS(_RAY_SCALE(ray.level_db)) for ray in rays]
     lines = [ray.points_m[:, shown] for ray in rays]
     axis.add_collection(LineCollection(lines[::-1], colors=colours[::-1], linewidths=1.3, zorder=3))
-    numbered = list(zip(lines, colours, strict=True))[:_NUMBERED_RAYS]
+    numbered = list(zip(lines, colours, strict=True))[:NUMBERED_RAYS]
     for number, (line, colour) in enumerate(numbered, start=1):
-        reached = np.append(0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
         # at another share of its length each: labels of rays that begin and end alike stand apart
-        share = number / (len(numbered) + 1)
-        place = np.array([np.interp(share * reached[-1], reached, part) for part in line.T])
+        place = point_along(line, number / (len(numbered) + 1))
         style: dict[str, Any] = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": colour}
         axis.annotate(str(number), place, fontsize=7, ha="center", va="center", bbox=style, zorder=5)
+
+
+def point_along(line: Float[FloatArray, "n D"], share: float) -> Float[FloatArray, "D"]:
+    """The point of a line through n points that lies at a share of its length, from 0 to 1."""
+    reached = np.append(0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+    return np.array([np.interp(share * reached[-1], reached, part) for part in line.T])
 
 
 def _place_handles(room: ShownRoom) -> list[Line2D]:
     style: dict[str, Any] = {"linestyle": "", "markeredgecolor": "none"}
     receiver = Line2D([], [], marker="^", color="#d55e00", label="receiver and its boresight", **style)
-    chosen = Line2D([], [], marker="*", color="black", label=f"transmitter {room.tx}", **style)
+    edge = {**style, "markeredgecolor": FIXED_BLACK}
+    chosen = Line2D([], [], marker="*", color=FIXED_WHITE, label=f"transmitter {room.tx}", **edge)
     return [receiver, chosen] + [
         Line2D([], [], marker="o", color=_GROUP_COLOURS[name], label=f"{name} ({len(position_m)})", **style)
         for name, position_m in room.groups().items()
@@ -183,7 +206,6 @@ def _draw_similarity(axis: Any, summary: CarrierSummary) -> None:
     found: Similarity = summary.similarity
     # the scale begins a tenth, rounded down, below all values
     least = float(np.floor(np.nanmin(found.median_ssim) * 10 - 0.01) / 10)
-    middle = (1 + least) / 2
     image = axis.pcolormesh(found.median_ssim, vmin=least, vmax=1, cmap=_SSIM_COLOURS)
     names = [f"{carrier / 1e9:.12g}" for carrier in found.carrier_hz]
     places = np.arange(len(names)) + 0.5
@@ -192,10 +214,16 @@ def _draw_similarity(axis: Any, summary: CarrierSummary) -> None:
     for (row, column), value in np.ndenumerate(found.median_ssim):
         if not np.isnan(value):
             place = {"x": column + 0.5, "y": row + 0.5, "ha": "center", "va": "center"}
-            axis.text(**place, s=f"{value:.2f}", fontsize=7, color="white" if float(value) < middle else "black")
+            axis.text(**place, s=f"{value:.2f}", fontsize=7, color=_ink_on(image.cmap(image.norm(value))))
     axis.set(xlabel="carrier (GHz)", ylabel="carrier (GHz)", aspect="equal")
     axis.set_title(f"median SSIM between carriers, {found.num_tx} transmitters", fontsize="medium")
     axis.figure.colorbar(image, ax=axis, shrink=0.8)
+
+
+def _ink_on(colour: Sequence[float]) -> str:
+    """White or black, whichever has the higher contrast to a colour; neither is changed on a dark page."""
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in colour[:3]]
+    return FIXED_WHITE if np.dot(linear, (0.2126, 0.7152, 0.0722)) < 0.179 else FIXED_BLACK
 
 
 def _draw_power(axis: Any, summary: CarrierSummary) -> None:
@@ -230,5 +258,6 @@ def _draw_path_counts(axis: Any, summary: CarrierSummary) -> None:
         label=list(groups),
     )
     axis.set(xlabel="paths that reach the array", ylabel="transmitters")
+    axis.locator_params(axis="y", integer=True)
     axis.set_title("paths a transmitter, at the carrier with most", fontsize="medium")
     axis.legend(fontsize="small")

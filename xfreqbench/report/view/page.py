@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,10 @@ from xfreqbench.data.splits import HELD_OUT_RECEIVER, PROTOCOLS, Split, make_spl
 from xfreqbench.errors import ProtocolError
 from xfreqbench.report.drawing.markdown import ABSENT, number
 from xfreqbench.report.drawing.materials import material_hex
-from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_surface, packed
+from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_label, one_surface, packed
 from xfreqbench.report.drawing.templates import PageTable, Picture, owner_mark, render
 from xfreqbench.report.view.describe import links_in_words
-from xfreqbench.report.view.figures import Rgba, group_colour, ray_colour
+from xfreqbench.report.view.figures import NUMBERED_RAYS, Rgba, group_colour, point_along, ray_colour
 from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB, ShownRoom
 from xfreqbench.report.view.summary import CarrierSummary
@@ -27,13 +27,17 @@ from xfreqbench.units import format_ghz, format_ghz_list
 _SPLIT_COLUMNS = ("split", "trained on", "tested on", "left out, no path", "same transmitters", "nearest trained (m)")
 
 
-def view_page(view: ViewPlan, summary: CarrierSummary | None, pictures: Mapping[str, Picture], model: str) -> str:
+def view_page(
+    view: ViewPlan, summary: CarrierSummary | None, pictures: Mapping[str, Sequence[Picture]], model: str, all_maps: str
+) -> str:
     """HTML of a view whose rays are traced; equal views give equal text.
 
-    `summary` is that of the view's data set, None without one. `pictures` go by their file names, `scene.png`,
-    `pas.png` and `carriers.svg`; `model` is the file name of the 3D model beside the page.
+    `summary` is that of the view's data set, None without one. `pictures` are of the `scene`, `maps` and `carriers`;
+    `model` and `all_maps` are the names of files beside the page: the 3D model, and the maps at every carrier.
     """
     splits, refusals = _protocols(view.dataset) if view.dataset else ([], [])
+    room, num_tx = view.room, view.header.num_tx
+    others = [] if room.in_sight is None else np.flatnonzero(room.in_sight != room.in_sight[room.tx]).tolist()
     return render(
         "view/page.html",
         title=f"{view.dataset.path.name}: {view.header.scene_name}" if view.dataset else view.header.scene_name,
@@ -44,8 +48,12 @@ def view_page(view: ViewPlan, summary: CarrierSummary | None, pictures: Mapping[
         dataset=view.dataset,
         summary=summary,
         pictures=pictures,
-        orbit=packed(orbit_scene(view.room)),
+        orbit=packed(orbit_scene(room)),
+        colours=_colours(room),
+        next_tx=(room.tx + 1) % num_tx,
+        other_tx=others[0] if others else None,
         model=model,
+        all_maps=all_maps,
         carrier=format_ghz(view.carrier_hz),
         tx_place=_metres(view.room.tx_m),
         max_rays=MAX_RAYS,
@@ -77,7 +85,30 @@ def orbit_scene(room: ShownRoom) -> dict[str, Any]:
         "transmitter": millimetres(room.tx_m),
         "receiver": millimetres(room.receiver_m),
         "boresight": millimetres(np.stack([room.receiver_m, ahead_m])),
+        "labels": [*_labels(room)],
     }
+
+
+def _labels(room: ShownRoom) -> Iterator[dict[str, Any]]:
+    """The lengths of the room, the numbers of its strongest rays, and both ends."""
+    if room.meshes:
+        corners_m = np.concatenate([mesh.vertices_m for mesh in room.meshes])
+        low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
+        for axis, (name, length_m) in enumerate(zip("xyz", high_m - low_m, strict=True)):
+            middle_m = np.array([low_m[0] if name == "x" else high_m[0], low_m[1], low_m[2]])
+            middle_m[axis] += length_m / 2
+            yield one_label(f"{name}: {length_m:.3g} m", middle_m)
+    numbered = sorted(room.rays, key=lambda ray: -ray.level_db)[:NUMBERED_RAYS]
+    for place, ray in enumerate(numbered, start=1):
+        yield one_label(str(place), point_along(ray.points_m, place / (len(numbered) + 1)))
+    yield one_label("receiver", room.receiver_m)
+    yield one_label(f"transmitter {room.tx}", room.tx_m)
+
+
+def _colours(room: ShownRoom) -> dict[str, str]:
+    """The colours of transmitters and materials by name."""
+    groups = {name: _hex(group_colour(name)) for name, points in room.groups().items() if len(points)}
+    return groups | {name.replace("_", " "): material_hex(name) for name in by_material(room.meshes)}
 
 
 def _hex(colour: Rgba) -> str:

@@ -34,7 +34,7 @@ class ViewPlan:
 
     `header` is the data set's, or the one that `generate` would write for the scene. `scene` is None where the
     data do not hold it, `settings` of the tracing too; `missing` then says why. `subject` is a hash that tells
-    apart what different views are about.
+    apart what different views are about. `source` is the data set's file name, or the scene's name or path.
     """
 
     header: DatasetHeader
@@ -45,6 +45,7 @@ class ViewPlan:
     settings: TraceSettings | None
     subject: str
     missing: str = ""
+    source: str = ""
 
     @property
     def is_traceable(self) -> bool:
@@ -77,8 +78,8 @@ def plan_view(data_or_scene: str, tx: int | None = None, carrier_ghz: float | No
     """
     path = Path(data_or_scene)
     if path.suffix == ".toml" or not (path.suffix or path.is_file()):
-        return _view_of_scene(load_scene(data_or_scene), tx, carrier_ghz)
-    return _view_of_dataset(open_dataset(path), tx, carrier_ghz)
+        return replace(_view_of_scene(load_scene(data_or_scene), tx, carrier_ghz), source=data_or_scene)
+    return replace(_view_of_dataset(open_dataset(path), tx, carrier_ghz), source=path.name)
 
 
 def _view_of_scene(scene: Scene, tx: int | None, carrier_ghz: float | None) -> ViewPlan:

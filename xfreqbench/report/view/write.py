@@ -15,7 +15,14 @@ from xfreqbench.report.drawing.glb import GlbModel
 from xfreqbench.report.drawing.materials import material_colour
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.drawing.templates import Picture, is_of_subject
-from xfreqbench.report.view.figures import group_colour, plot_carriers, plot_overview, plot_room, ray_colour
+from xfreqbench.report.view.figures import (
+    CARRIER_PARTS,
+    group_colour,
+    plot_carriers,
+    plot_overview,
+    plot_room,
+    ray_colour,
+)
 from xfreqbench.report.view.page import view_page
 from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import ShownRoom
@@ -26,10 +33,11 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 PAGE, MODEL, ROOM = "index.html", "scene.glb", "scene.png"
 MAPS, CARRIERS, OVERVIEW = "pas.png", "carriers.svg", "overview.png"
 FILES = (PAGE, MODEL, ROOM, MAPS, CARRIERS, OVERVIEW)
+_MOST_MAPS = 12  # on the page
 _ALT = {
-    ROOM: "Plan and elevation of the scene with receiver, transmitters and rays",
-    MAPS: "Power angular spectra of one transmitter at every carrier",
-    CARRIERS: "Similarity of maps, power and paths against the carrier",
+    "similarity": "Median SSIM of maps between each two carriers",
+    "power": "Power of the strongest direction against the carrier",
+    "paths": "How many transmitters have how many paths",
 }
 _SURFACE_OPACITY = 60
 _ORANGE, _BLACK = (213, 94, 0, 255), (20, 20, 20, 255)
@@ -65,8 +73,7 @@ def write_view(view: ViewPlan, folder: Path, tell: Callable[[str], None] = lambd
     with tempfile.TemporaryDirectory() as scratch:
         tell("drawing the room, its rays and maps")
         drawn = dict(_drawn(view, summary, Path(scratch)))
-    pictures = {name: Picture(name, alt, drawn[name]) for name, alt in _ALT.items() if name in drawn}
-    page = view_page(view, summary, pictures, MODEL)
+        page = view_page(view, summary, _pictures(view, summary, Path(scratch)), MODEL, MAPS)
     write_text(folder / PAGE, page)  # before the others, because it names the data set that they belong to
     for name, content in drawn.items():
         path = folder / name
@@ -92,6 +99,31 @@ def room_model(room: ShownRoom) -> GlbModel:
     model.add_markers(f"array elements at {format_ghz(room.lowest_hz)}", elements_m, _ELEMENT_M, _ORANGE)
     model.add_tube("boresight", np.stack([room.receiver_m, ahead_m]), _RAY_M, _ORANGE)
     return model
+
+
+def _pictures(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> dict[str, list[Picture]]:
+    """The pictures of the page: narrow ones, whose paper and ink are the page's."""
+
+    def picture(name: str, alt: str) -> Picture:
+        return Picture(f"{name}.svg", alt, (scratch / f"{name}.svg").read_bytes())
+
+    plot_room(view.room, scratch / "room.svg")
+    found = {"scene": [picture("room", "Plan and elevation of the scene with receiver, transmitters and rays")]}
+    if view.dataset and summary:
+        dataset = view.dataset
+        rows = np.flatnonzero(dataset.tx_index == view.room.tx)
+        shown = np.linspace(0, len(rows) - 1, min(len(rows), _MOST_MAPS)).round().astype(int)
+        titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows[shown]]]
+        maps = power_of(dataset.pas(rows[shown]), dataset.header.pas_kind)
+        for index, title in enumerate(titles):
+            plot_pas_maps(maps[index : index + 1], dataset.grid, [title], scratch / f"map-{index}.svg")
+        found["maps"] = [
+            picture(f"map-{index}", f"Power angular spectrum at {title}") for index, title in enumerate(titles)
+        ]
+        for part in CARRIER_PARTS:
+            plot_carriers(summary, scratch / f"{part}.svg", [part])
+        found["carriers"] = [picture(part, alt) for part, alt in _ALT.items() if (scratch / f"{part}.svg").exists()]
+    return found
 
 
 def _drawn(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> Iterator[tuple[str, bytes]]:
