@@ -35,7 +35,7 @@ from xfreqbench.errors import (
 )
 from xfreqbench.methods.contract import Budget, Method, parse_budget
 from xfreqbench.methods.fitting import Stopwatch, checked_findings, checked_maps, checked_num_parameters
-from xfreqbench.methods.registry import device_option, method_names, name_of, room_method_names
+from xfreqbench.methods.registry import device_option, method_names, name_of, require_installed, room_method_names
 from xfreqbench.runs.estimate import estimate_runs
 from xfreqbench.runs.fit import FitProgress, TaskFit
 from xfreqbench.runs.folder import ResultsFolder
@@ -130,8 +130,10 @@ def asked_tasks(
         installed = method_names() + (room_method_names() if protocol in ROOM_PROTOCOLS else [])
         methods = dict.fromkeys(installed, methods["all"])
     options_by_name = {name_of(method): _texts(options) for method, options in methods.items()}
-    named = [(name, (*options, *device_option(name, device))) for name, options in options_by_name.items()]
     limit = budget if isinstance(budget, Budget) else parse_budget(budget)
+    for name in options_by_name:  # before any of them is imported, which takes seconds
+        require_installed(name)
+    named = [(name, (*options, *device_option(name, device))) for name, options in options_by_name.items()]
     if protocol in ROOM_PROTOCOLS:
         chosen = {"target carrier": targets_ghz, "receiver": receiver, "polarization": polarization}
         for what, value in chosen.items():
