@@ -42,6 +42,7 @@ MODULES = {
 # without files of bytecode every interpreter that a test starts compiles the package anew
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+os.environ["XFREQBENCH_ANNOUNCES"] = "0"  # whichever test compiles kernels first, stderr is the same
 os.fsync = lambda descriptor: None  # processes are killed here, but no machine, so that nothing need be on the disk
 if CHECKS_TYPES:
     jaxtyping.jaxtyped = check_first_calls

@@ -95,13 +95,16 @@ def test_data_of_other_software_are_used_where_the_same_is_asked_for(
         small(tmp_path / "data.h5", seed=2)
 
 
-def test_bars_are_drawn_where_they_are_asked_for_and_none_before_a_refusal(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_bars_are_drawn_where_a_person_looks_and_none_before_a_refusal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    small(tmp_path / "data.h5")
+    small(tmp_path / "data.h5")  # into a file, and not asked for
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes this for a terminal
+    monkeypatch.setenv("TTY_INTERACTIVE", "1")
     with pytest.raises(OutputExistsError):
-        small(tmp_path / "data.h5", seed=2, progress=True)
+        small(tmp_path / "data.h5", seed=2)
+    small(tmp_path / "silent.h5", progress=False)
     assert not capsys.readouterr().err
-    small(tmp_path / "shown.h5", progress=True)
+    small(tmp_path / "shown.h5")
     shown = capsys.readouterr().err
-    assert "tracing" in shown and "3/3 transmitters" in shown
+    assert "tracing" in shown and "3 of 3 transmitters" in shown

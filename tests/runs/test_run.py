@@ -324,7 +324,7 @@ def test_a_running_fit_is_shown(
     options = {"method": f"{__name__}:Stepwise", "targets": "77", "budget": "4steps"}
     runs.run(data=dataset.path, results=tmp_path, **options)
     shown = " ".join(capsys.readouterr().err.split())
-    assert "1/1 runs" in shown
+    assert "1 of 1 runs" in shown
     assert "step 4, loss 0.875" in shown
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import shlex
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from tests.support.fuzzing.common import xfreqbench
 from xfreqbench.cli import main as cli
 from xfreqbench.cli.main import app, interruptions_kept
 from xfreqbench.cli.options import parse_carriers_hz
+from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import XFreqBenchError
 
 HEAVY = {"numpy", "torch", "sionna", "mitsuba", "drjit", "h5py", "numba", "scipy", "skimage", "matplotlib"}
@@ -209,3 +211,46 @@ def test_an_interrupted_kernel_is_an_interruption(
         cli.main()
     assert ended.value.code == 130
     assert "the same command goes on" in capsys.readouterr().err
+
+
+REFUSE_ALL = f"""
+import json, sys
+from contextlib import redirect_stderr
+from io import StringIO
+from xfreqbench.cli.main import main
+for words, expected in json.loads(sys.argv[1]):
+    sys.argv[1:] = words
+    with redirect_stderr(StringIO()) as said:
+        try:
+            main()
+        except SystemExit as end:
+            assert end.code == 2, (words, said.getvalue())
+    assert expected in said.getvalue(), (words, said.getvalue())
+    loaded = {HEAVY - {"numpy", "h5py", "scipy"} | {"trimesh"}} & set(sys.modules)
+    assert not loaded, (words, loaded)
+"""
+
+
+def test_a_mistake_is_found_before_heavy_libraries_are_imported(dataset: PasDataset, tmp_path: Path) -> None:
+    """They take seconds; the data set has no 5 GHz."""
+    data, results, output = str(dataset.path), str(tmp_path / "results"), str(tmp_path / "output")
+    run = ["run", "--results", results, "--data"]
+    refused = [
+        ([*run, data, "--method", "nosuch"], "no method 'nosuch'"),
+        ([*run, data, "--method", "nosuch", "--set", "width=1"], "no method 'nosuch'"),
+        ([*run, data, "--method", "xfreq-gs", "--budget", "3x"], "'3x'"),
+        ([*run, data, "--method", "xfreq-gs", "--executor", "nosuch"], "'nosuch'"),
+        ([*run, data, "--method", "xfreq-gs", "--seeds", "x"], "'x'"),
+        ([*run, data, "--method", "xfreq-gs", "--protocol", "nosuch"], "no protocol 'nosuch'"),
+        ([*run, data, "--method", "xfreq-gs", "--targets", "5"], "5 GHz"),
+        ([*run, "nofile", "--method", "xfreq-gs"], "no file nofile"),
+        (["generate", "nosuch", "-o", output], "no scene 'nosuch'"),
+        (["generate", "office", "--freqs", "2,x", "-o", output], "'2,x'"),
+        (["generate", "office", "--interactions", "nosuch", "-o", output], "no interaction 'nosuch'"),
+        (["generate", "office", "--executor", "nosuch", "-o", output], "'nosuch'"),
+        (["benchmark", "--preset", "nosuch"], "no preset 'nosuch'"),
+        (["check-method", "nosuch"], "no method 'nosuch'"),
+        (["view", "nosuch", "-o", output], "no scene 'nosuch'"),
+        (["info", "nofile"], "no file nofile"),
+    ]
+    subprocess.run([sys.executable, "-c", REFUSE_ALL, json.dumps(refused)], check=True, cwd=tmp_path)

@@ -379,9 +379,10 @@ def view(
         The path of a data set, a shipped scene's name, or the path of a scene TOML.
     """
     from xfreqbench.report.view.plan import plan_view
-    from xfreqbench.report.view.write import claim, write_view
 
     planned = plan_view(data_or_scene, tx, carrier)
+    from xfreqbench.report.view.write import claim, write_view  # after the refusals, which Matplotlib would delay
+
     claim(planned, output)
     say(planned.missing or "tracing the rays of one transmitter", quiet)
     for path in write_view(planned.with_rays(), output, partial(say, quiet=quiet)):

@@ -15,6 +15,7 @@ from xfreqbench.cli import data, exchange, measure, runs
 from xfreqbench.cli.options import app
 from xfreqbench.cli.plugins import add_plugin_commands
 from xfreqbench.errors import RunsFailedError, StorageError, XFreqBenchError, was_interrupted
+from xfreqbench.system.bars import announcing
 from xfreqbench.system.machine import require_thread_count, require_working_folder
 
 __all__ = ["app", "data", "exchange", "main", "measure", "runs"]  # importing a file adds its commands
@@ -34,7 +35,7 @@ def main() -> None:
     try:
         require_working_folder()
         require_thread_count()
-        with interruptions_kept():
+        with interruptions_kept(), announcing(not {"--quiet", "-q"} & {*sys.argv}):
             if sys.argv[1:2] in ([], ["--help"], ["-h"]):
                 app.resolved_commands()  # imports plug-ins, so that help describes their commands
             app()

@@ -174,11 +174,11 @@ def run(
 
     A killed run goes on where it stopped, in mid-fit too.
     """
-    from xfreqbench.report.leaderboard.report import leaderboard_summary
-    from xfreqbench.report.leaderboard.results import ranked_beside
     from xfreqbench.runs.estimate import estimate_runs
     from xfreqbench.runs.run import asked_tasks, run_shown
+    from xfreqbench.system.workers import require_executor
 
+    require_executor(executor)
     methods: dict[str | type, tuple[str, ...]] = dict.fromkeys(map(str.strip, method.split(",")), set_)
     targets_ghz, link = parse_targets_ghz(targets), (receiver, polarization)
     tasks = asked_tasks(data, methods, protocol, targets_ghz, on, _seeds(seed), budget, device, *link)
@@ -186,6 +186,9 @@ def run(
         print(f"{protocol} on {data.name}: {estimate_runs(tasks, results, executor)}; nothing was run")
         return
     records = run_shown(tasks, results, executor, not quiet)
+    from xfreqbench.report.leaderboard.report import leaderboard_summary  # after the refusals, which it would delay
+    from xfreqbench.report.leaderboard.results import ranked_beside
+
     say(f"{leaderboard_summary(ranked_beside(results, records))}\n\nEvery metric: xfreqbench report {results}", quiet)
     _warn_of_busy(records, quiet)
 

@@ -21,7 +21,6 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 from pydantic import FiniteFloat, PositiveFloat, PositiveInt, TypeAdapter, ValidationError
-from scipy.spatial import KDTree
 
 from xfreqbench.data import hdf5
 from xfreqbench.data.paths import (
@@ -249,6 +248,8 @@ class PasDataset:
     @cached_property
     def place_index(self) -> Int[IntArray, "N"]:
         """Index of the first transmitter at each sample's place: those within a millimetre of each other have one."""
+        from scipy.spatial import KDTree
+
         position_m, of_tx = np.unique(self.tables["tx_position_m"], axis=0, return_inverse=True)
         near = KDTree(position_m).query_pairs(SAME_PLACE_M, output_type="ndarray")
         place_of_tx = components(near[:, 0], near[:, 1], len(position_m))[of_tx.ravel()]

@@ -27,7 +27,7 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.materials import MaterialPolicy
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.system.arguments import CarriersGhz, FilePath, Positions, Texts, Word, checked
-from xfreqbench.system.bars import progress_bars
+from xfreqbench.system.bars import Shown, announcing, progress_bars
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_space
 from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
@@ -62,7 +62,7 @@ def generate(
     receiver: Texts | None = None,
     polarization: Texts | None = None,
     executor: Word = SERIAL,
-    progress: bool = False,
+    progress: Shown = "auto",
     tell: Callable[[str], None] | None = None,
 ) -> PasDataset:
     """Trace a scene at some carriers, write channels and maps to the file `output`, and open it.
@@ -71,8 +71,9 @@ def generate(
     scene's grid, chosen by the seed, all of it where `tx` is None, or else those at `tx_positions`, in metres, for
     which the scene needs no grid. The other options are those of `xfreqbench generate`, with the same names and
     defaults: without `interactions` they are specular, refraction, and diffraction where solver `image` traces it.
-    `executor` is `serial`, a number of processes, or `dask://host:port`, and `progress` draws bars on stderr. `tell` is
-    given counts and size of what will be traced, in a few lines, before the first ray.
+    `executor` is `serial`, a number of processes, or `dask://host:port`. `progress` shows on stderr how far it
+    is, as bars on a terminal and as a line every ten seconds elsewhere; `auto` does so on a terminal and in a notebook
+    alone. `tell` is given counts and size of what will be traced, in a few lines, before the first ray.
 
     `receiver` names one or several of the scene's receivers, or is `all`; without it the first is traced.
     `polarization` is V or H, or both for all four pairs of what is sent and heard: `VV`, `VH`, `HV` and `HH`. A file
@@ -81,25 +82,26 @@ def generate(
     The same call goes on where a killed one stopped, and opens what is finished: see `generate_planned`, also for
     what is raised. A mistake is an `XFreqBenchError`, before the first ray where that is possible.
     """
-    plan = plan_of(
-        scene,
-        freqs_ghz,
-        TraceSettings(solver, interactions_named(interactions), max_depth, rays, seed, materials),
-        tx=tx,
-        tx_positions=tx_positions,
-        pas_kind=pas_kind,
-        maps=maps,
-        paths=paths,
-        receiver=receiver,
-        polarization=polarization,
-    )
-    if tell:
-        tell(plan.summary)
-    with (
-        open_workers(executor) as workers,
-        progress_bars("transmitters", ["tracing", "writing"], not progress) as (tracing, writing),
-    ):
-        dataset = open_dataset(generate_planned(plan, Path(output), tracing, writing, workers))
+    with announcing(progress) as is_shown:
+        plan = plan_of(
+            scene,
+            freqs_ghz,
+            TraceSettings(solver, interactions_named(interactions), max_depth, rays, seed, materials),
+            tx=tx,
+            tx_positions=tx_positions,
+            pas_kind=pas_kind,
+            maps=maps,
+            paths=paths,
+            receiver=receiver,
+            polarization=polarization,
+        )
+        if tell:
+            tell(plan.summary)
+        with (
+            open_workers(executor) as workers,
+            progress_bars("transmitters", ["tracing", "writing"], not is_shown) as (tracing, writing),
+        ):
+            dataset = open_dataset(generate_planned(plan, Path(output), tracing, writing, workers))
     if tell and (differing := differences(plan.header.software, dataset.header.software)):
         tell(f"{output} was traced by other software, {differing}, and has the same recipe: it stays as it is.")
     return dataset

@@ -23,7 +23,7 @@ from xfreqbench.scene.drawn_rooms import draw_room, room_name
 from xfreqbench.scene.families import Family, load_family
 from xfreqbench.scene.materials import MaterialPolicy
 from xfreqbench.system.arguments import CarriersGhz, FilePath, Texts, Word, checked
-from xfreqbench.system.bars import progress_bars
+from xfreqbench.system.bars import Shown, announcing, progress_bars
 from xfreqbench.system.files import atomic_path, sole_writer, storage_errors
 from xfreqbench.system.workers import SERIAL, Workers, open_workers, side_by_side
 from xfreqbench.tracing.solvers import interactions_named
@@ -85,7 +85,7 @@ def generate_rooms(
     paths: bool = False,
     polarization: Texts | None = None,
     executor: Word = SERIAL,
-    progress: bool = False,
+    progress: Shown = "auto",
     tell: Callable[[str], None] | None = None,
 ) -> Collection:
     """Draw rooms from a family, trace each, write their data sets to the folder `output`, and open the collection.
@@ -100,9 +100,10 @@ def generate_rooms(
     """
     settings = TraceSettings(solver, interactions_named(interactions), max_depth, rays, materials=materials)
     files: dict[str, Any] = {"pas_kind": pas_kind, "maps": maps, "paths": paths, "polarization": polarization}
-    plan = plan_of_rooms(family, freqs_ghz, settings, rooms=rooms, seed=seed, tx=tx, **files)
-    with open_workers(executor) as workers, progress_bars("rooms", ["tracing"], not progress) as (report,):
-        return generate_planned_rooms(plan, Path(output), workers, report, tell or (lambda text: None))
+    with announcing(progress) as is_shown:
+        plan = plan_of_rooms(family, freqs_ghz, settings, rooms=rooms, seed=seed, tx=tx, **files)
+        with open_workers(executor) as workers, progress_bars("rooms", ["tracing"], not is_shown) as (report,):
+            return generate_planned_rooms(plan, Path(output), workers, report, tell or (lambda text: None))
 
 
 @checked

@@ -48,7 +48,6 @@ from typing import Literal, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import InstanceOf
-from scipy.spatial import KDTree
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.validation import (
@@ -111,6 +110,8 @@ class Split:
 
         Raises `ProtocolError` where none is left to train or to test on, and `DataError` where all maps are constant.
         """
+        from scipy.spatial import KDTree
+
         _require_directions(dataset)
         train, test = (np.flatnonzero(chosen & dataset.has_path) for chosen in (trained, tested))
         if not len(train) or not len(test):
@@ -366,6 +367,8 @@ def _block_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[M
     The floor is halved again and again across its longer side into ten regions of equally many transmitters. Of fewer
     than ten transmitters each is a region.
     """
+    from scipy.spatial import KDTree
+
     places, first = np.unique(dataset.place_index[is_offered], return_index=True)
     position_m = dataset.tx_position_m[is_offered][first]
     num_blocks = min(NUM_BLOCKS, len(places))

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from skimage.metrics import structural_similarity as _untyped_structural_similarity
 
 from xfreqbench.errors import ArgumentError
 from xfreqbench.maps.bartlett import RANGE_TOLERANCE, PasKind, power_of
@@ -28,8 +27,6 @@ POWER_RANGE_DB = 30.0
 POWER_FLOOR_DB = -40.0
 NUM_RESAMPLES = 1000
 LEAST_PEAK = 1e-3  # of maps that are not constant: SSIM and PSNR of absolute powers say nothing
-
-structural_similarity: Any = _untyped_structural_similarity
 
 ScoreFunction = Callable[[Maps, Maps, AngularGrid], FloatArray]
 SampleMaps = Float[Maps, "N E A"]  # of N samples
@@ -101,6 +98,9 @@ def ssim_wrapped(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) ->
 
 def _ssims(predicted: SampleMaps, truth: SampleMaps) -> dict[str, Scores]:
     """`ssim_wrapped`, and `ssim`: the mean over those of its windows that do not cross the seam of the azimuth."""
+    from skimage.metrics import structural_similarity
+
+    compared: Any = structural_similarity
     if min(truth.shape[1:]) < SSIM_WINDOW:
         raise ArgumentError(
             f"SSIM compares windows of {SSIM_WINDOW} × {SSIM_WINDOW} directions, but the maps have "
@@ -110,7 +110,7 @@ def _ssims(predicted: SampleMaps, truth: SampleMaps) -> dict[str, Scores]:
     inner, scores = slice(margin, -margin), np.empty((2, len(truth)))
     continued = (np.dstack([maps[..., -margin:], maps, maps[..., :margin]]) for maps in (predicted, truth))
     for nth, pair in enumerate(zip(*continued, strict=True)):
-        of_windows = structural_similarity(*pair, win_size=SSIM_WINDOW, data_range=1.0, full=True)[1][inner, inner]
+        of_windows = compared(*pair, win_size=SSIM_WINDOW, data_range=1.0, full=True)[1][inner, inner]
         scores[:, nth] = [of_all.mean(dtype=np.float64) for of_all in (of_windows[:, inner], of_windows)]
     return dict(zip(("ssim", "ssim_wrapped"), scores, strict=True))
 

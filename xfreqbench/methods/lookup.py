@@ -13,7 +13,6 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field, TypeAdapter, ValidationError
-from scipy.spatial import KDTree
 
 from xfreqbench.data.dataset import PasDataset, reopen
 from xfreqbench.errors import DataError
@@ -38,6 +37,8 @@ class TrainingTransmitters:
     """
 
     def __init__(self, train: PasDataset, asked: PasDataset | None = None) -> None:
+        from scipy.spatial import KDTree
+
         self.train, self.asked = train, train if asked is None else asked  # which has no samples, and so is false
         tx_index, first, column = np.unique(train.tx_index, return_index=True, return_inverse=True)
         self.carrier_hz, carrier = np.unique(train.carrier_hz, return_inverse=True)
@@ -63,6 +64,8 @@ class TrainingTransmitters:
 
         None where both receivers face the same way.
         """
+        from scipy.spatial import KDTree
+
         asked, trained = (data.header.receiver.rotation for data in (self.asked, self.train))
         if np.allclose(asked, trained):
             return None

@@ -100,6 +100,12 @@ def resolve_method(name: str) -> Callable[..., Any]:
     return cast("Callable[..., Any]", method_class)
 
 
+def require_installed(name: str) -> None:
+    """Raise `UnknownNameError` for a name without a colon that no installed method has; no method is imported."""
+    if ":" not in name:
+        _entry_value(name)
+
+
 def _entry_value(name: str) -> str:
     """The `package.module:Class` of an installed method; raises `MethodError` where two packages offer the name."""
     values = sorted({entry.value for entry in _entries() if entry.name == name})

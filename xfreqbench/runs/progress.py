@@ -19,10 +19,10 @@ RunProgress = Callable[[int, int, Job, RunRecord | None], None]
 
 @contextmanager
 def run_bars(quiet: bool, shows_fit: bool) -> Iterator[tuple[RunProgress | None, FitProgress | None]]:
-    """The two callbacks of `run_jobs`, which draw bars on stderr; with `quiet` both are None.
+    """The two callbacks of `run_jobs`, which show progress on stderr; with `quiet` both are None.
 
-    The second bar, of the fit at hand, is for fits in this process. Where bars cannot be drawn, as in a file, there is
-    a line for each run that has ended instead.
+    The second, of the fit at hand, is for fits in this process. Where bars cannot be drawn, as in a file, there is a
+    line for each run that has ended, and one every ten seconds.
     """
     if quiet:
         yield None, None
@@ -30,9 +30,8 @@ def run_bars(quiet: bool, shows_fit: bool) -> Iterator[tuple[RunProgress | None,
     with open_bars(["runs", "fitting"] if shows_fit else ["runs"]) as bars:
 
         def ended(done: int, total: int, job: Job, record: RunRecord | None) -> None:
+            bars.show(0, done, total, f"{done} of {total} runs", f"{job.protocol} on {Path(job.dataset).name}")
             if bars.is_drawn:
-                title = f"{job.protocol} on {Path(job.dataset).name}"
-                bars.show(0, done, total, f"{done}/{total} runs", title)
                 return
             result = "failed"
             if record is not None:
@@ -42,10 +41,8 @@ def run_bars(quiet: bool, shows_fit: bool) -> Iterator[tuple[RunProgress | None,
             print(line, file=sys.stderr, flush=True)
 
         def fitting(job: Job, fit: Fit) -> None:
-            if bars.is_drawn:
-                spent = fit.share or None  # of a budget; without one nobody knows when the fit ends
-                title = f"fitting {job.method} {job.split}"
-                bars.show(1, fit.share, 1 if spent else None, fit_state(fit), title)
+            spent = fit.share or None  # of a budget; without one nobody knows when the fit ends
+            bars.show(1, fit.share, 1 if spent else None, fit_state(fit), f"fitting {job.method} {job.split}")
 
         yield ended, fitting
 
@@ -54,4 +51,4 @@ def fit_state(fit: Fit) -> str:
     """How a fit stands, in words; a method that has no loss shows none."""
     loss = "" if isnan(fit.loss) else f", loss {fit.loss:.4g}"
     spent = f", {fit.share:.0%} of the budget" if fit.share else ""
-    return f"step {fit.step:,}{loss}, {fit.seconds:.0f} s{spent}"
+    return f"step {fit.step:,}{loss}{spent}"

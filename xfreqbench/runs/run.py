@@ -35,7 +35,7 @@ from xfreqbench.errors import (
 )
 from xfreqbench.methods.contract import Budget, Method, parse_budget
 from xfreqbench.methods.fitting import Stopwatch, checked_findings, checked_maps, checked_num_parameters
-from xfreqbench.methods.registry import device_option, method_names, name_of, room_method_names
+from xfreqbench.methods.registry import device_option, method_names, name_of, require_installed, room_method_names
 from xfreqbench.runs.estimate import estimate_runs
 from xfreqbench.runs.fit import FitProgress, TaskFit
 from xfreqbench.runs.folder import ResultsFolder
@@ -47,6 +47,7 @@ from xfreqbench.runs.rooms import RoomTask, room_tasks, run_in_rooms
 from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
 from xfreqbench.system import machine
 from xfreqbench.system.arguments import FilePath, Texts, WholeNumbers, Word, checked, listed
+from xfreqbench.system.bars import Shown, announcing
 from xfreqbench.system.cluster import UnfitWorkerError
 from xfreqbench.system.files import read_text, storage_errors
 from xfreqbench.system.source import Known, known_sources, remember_sources
@@ -72,7 +73,7 @@ def run(
     receiver: str | None = None,
     polarization: str | None = None,
     executor: Word = SERIAL,
-    progress: bool = False,
+    progress: Shown = "auto",
 ) -> list[RunRecord]:
     """Fit methods on a protocol's training rows, store and score their predictions; returns a record for each run.
 
@@ -84,8 +85,9 @@ def run(
     the others trained on, under a protocol of their own such as `lofo-validation`; see `make_splits`.
     `budget` ends every fit, as in `300s`, `5m`, `2000steps`, `64000maps` or `quick`; None leaves the end to the
     method. `device` is where methods that have the choice compute. `executor` is `serial`, a number of processes, or
-    `dask://host:port`. `progress` draws bars on stderr, or prints a line for each run where that is no terminal, and
-    first says what the runs will take where that may be more than ten minutes.
+    `dask://host:port`. `progress` draws bars on stderr, or prints a line for each run and every ten seconds where that
+    is no terminal, and first says what the runs will take where that may be more than ten minutes; `auto` does so on a
+    terminal and in a notebook alone.
 
     `receiver` and `polarization` choose what methods see of a file with several; without them it is what a given data
     set shows, and the first of each in a path. Protocol `held-out-receiver` tests that receiver, and every one in turn
@@ -96,10 +98,11 @@ def run(
     that is possible. A run that fails stops no other: at the end `RunsFailedError` names those that failed. A single
     run raises its own error.
     """
-    tasks = asked_tasks(data, methods, protocol, targets_ghz, on, seeds, budget, device, receiver, polarization)
-    if executor != SERIAL:
-        require_importable(tasks)
-    return run_shown(tasks, Path(results), executor, progress)
+    with announcing(progress) as is_shown:
+        tasks = asked_tasks(data, methods, protocol, targets_ghz, on, seeds, budget, device, receiver, polarization)
+        if executor != SERIAL:
+            require_importable(tasks)
+        return run_shown(tasks, Path(results), executor, is_shown)
 
 
 def asked_tasks(
@@ -130,8 +133,10 @@ def asked_tasks(
         installed = method_names() + (room_method_names() if protocol in ROOM_PROTOCOLS else [])
         methods = dict.fromkeys(installed, methods["all"])
     options_by_name = {name_of(method): _texts(options) for method, options in methods.items()}
-    named = [(name, (*options, *device_option(name, device))) for name, options in options_by_name.items()]
     limit = budget if isinstance(budget, Budget) else parse_budget(budget)
+    for name in options_by_name:  # before any of them is imported, which takes seconds
+        require_installed(name)
+    named = [(name, (*options, *device_option(name, device))) for name, options in options_by_name.items()]
     if protocol in ROOM_PROTOCOLS:
         chosen = {"target carrier": targets_ghz, "receiver": receiver, "polarization": polarization}
         for what, value in chosen.items():

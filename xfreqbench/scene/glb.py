@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from xfreqbench.scene.imported import ImportedShape, StatedMaterial, Triangles, slab_of
 from xfreqbench.scene.materials import SceneMaterial
@@ -110,6 +109,8 @@ def _nodes(header: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Float[Float
 
 
 def _local_matrix(node: dict[str, Any]) -> Float[FloatArray, "4 4"]:
+    from scipy.spatial.transform import Rotation
+
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     matrix = np.eye(4)

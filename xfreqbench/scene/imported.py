@@ -6,10 +6,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 
 from xfreqbench.errors import SceneError
@@ -37,7 +36,7 @@ class Triangles(NamedTuple):
     triangles: Int[IntArray, "K 3"]
 
     @classmethod
-    def of(cls, mesh: trimesh.Trimesh) -> Triangles:
+    def of(cls, mesh: Any) -> Triangles:
         """Those of a mesh of trimesh."""
         return cls(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
 

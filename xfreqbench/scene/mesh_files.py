@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 
 from xfreqbench.errors import SceneError
@@ -35,6 +34,8 @@ def read_mesh(path: Path, kind: MeshKind) -> Triangles:
 
     Raises whatever the reading raises: an `OSError` for a file that cannot be read, and others for what is in it.
     """
+    import trimesh
+
     content = read_bytes(path)
     if kind == "obj":
         return _merged([part.triangles for part in _obj_parts(content)])
@@ -44,7 +45,7 @@ def read_mesh(path: Path, kind: MeshKind) -> Triangles:
         return _loaded(trimesh.load_mesh(io.BytesIO(_whole_stl(content)), file_type="stl", process=False))
 
 
-def _loaded(mesh: trimesh.Trimesh) -> Triangles:
+def _loaded(mesh: Any) -> Triangles:
     found = Triangles.of(mesh)
     if any(array.shape[1:] != (3,) for array in found):
         raise ValueError("it is no list of triangles")
@@ -88,6 +89,8 @@ def _is_whole(words: bytes, with_normals: bool = False) -> bool:
 
 def _read_ply(content: bytes) -> Triangles:
     """Triangles of a PLY, as trimesh reads them, but for concave faces, and for faces of several sizes in binary."""
+    import trimesh
+
     header, end, body = content.partition(b"end_header")
     content = _in_ascii(header) + end + body
     if b"element face" in header and not any(name.encode() in header for name in _PLY_FACES):

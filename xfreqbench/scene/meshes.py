@@ -13,7 +13,6 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float, Int
 
 from xfreqbench.errors import SceneError, UnknownNameError
@@ -134,6 +133,8 @@ def surface_meshes(scene: Scene) -> list[SurfaceMesh]:
 
 
 def _triangles(surface: Surface) -> Triangles:
+    import trimesh
+
     if surface.vertices_m is not None:
         return Triangles(*flat_polygon(surface.corners_m))
     bounds = surface.corners_m
@@ -263,6 +264,8 @@ def shape_ids(meshes: Sequence[SurfaceMesh]) -> list[str]:
 
 def write_mitsuba(meshes: Sequence[SurfaceMesh], folder: Path) -> Path:
     """Write `scene.xml` and one PLY for each mesh, as Sionna RT loads them; returns the path of the XML."""
+    import trimesh
+
     (folder / "meshes").mkdir(parents=True, exist_ok=True)
     root = ElementTree.Element("scene", version="2.1.0")
     kinds = slabs_of(meshes)

@@ -16,10 +16,8 @@ from pathlib import Path
 from typing import cast, get_args
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 from pydantic import TypeAdapter, ValidationError
-from scipy.spatial.transform import Rotation
 
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.imported import ImportedShape, StatedMaterial, Triangles, plain_name, slab_of
@@ -346,6 +344,8 @@ def _check_shape(shape: Element, kind: str, where: str) -> None:
 
 def _form(shape: Element, kind: str, where: str) -> Triangles:
     """Triangles of a shape that needs no file, as Mitsuba defines it: two units wide about the origin."""
+    import trimesh
+
     if kind == "rectangle":
         corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
         return Triangles(corners, np.array([[0, 1, 2], [0, 2, 3]]))
@@ -360,7 +360,11 @@ def _form(shape: Element, kind: str, where: str) -> Triangles:
     return Triangles(unit.vertices_m * radius_m + centre_m, unit.triangles)
 
 
-_unit_sphere = cache(lambda: Triangles.of(trimesh.creation.icosphere(subdivisions=_SPHERE_SUBDIVISIONS)))
+@cache
+def _unit_sphere() -> Triangles:
+    import trimesh
+
+    return Triangles.of(trimesh.creation.icosphere(subdivisions=_SPHERE_SUBDIVISIONS))
 
 
 def _placed(triangles: Triangles, shape: Element, where: str) -> Triangles:
@@ -423,6 +427,8 @@ def _numbers(text: str, element: ElementTree.Element, where: str, *counts: int) 
 
 def _step(element: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"]:
     """Matrix of one step; that of `lookat` is the frame at `origin` whose z looks to `target`, its y towards `up`."""
+    from scipy.spatial.transform import Rotation
+
     matrix, kind = np.eye(4), element.tag
     if kind == "translate":
         matrix[:3, 3] = vector(element, where)

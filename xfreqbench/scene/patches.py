@@ -11,9 +11,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
 from xfreqbench.scene.model import NEAR_M
@@ -133,6 +130,8 @@ def _welded(corners_m: Float[FloatArray, "K 3 3"]) -> Int[IntArray, "K 3"]:
 
     Formats like PLY and STL may repeat a vertex for each of its triangles, rounded each time.
     """
+    from scipy.spatial import cKDTree
+
     place_m = corners_m.reshape(-1, 3)
     _, first, vertex = np.unique(_numbered(*place_m.T), return_index=True, return_inverse=True)
     if not len(first):
@@ -143,6 +142,9 @@ def _welded(corners_m: Float[FloatArray, "K 3 3"]) -> Int[IntArray, "K 3"]:
 
 def components(first: IntArray, second: IntArray, number: int) -> Int[IntArray, "n"]:
     """Index of the connected component of each of so many things, from pairs that are connected."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     links = coo_array((np.ones(len(first)), (first, second)), shape=(number, number))
     return connected_components(links, directed=False)[1].astype(np.int64)
 

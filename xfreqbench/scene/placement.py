@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial import KDTree
 
 from xfreqbench.errors import PlacementError, SceneError
 from xfreqbench.scene.meshes import FLAT, SIONNA, SurfaceMesh, bounds_m
@@ -95,6 +94,8 @@ def check_transmitters(
     That is a position that is not finite, in an object, on a surface, or on an element of the array at one of the
     carriers.
     """
+    from scipy.spatial import KDTree
+
     if len(tx_position_m) == 0:
         raise PlacementError("No transmitter position is given; give at least one.")
     is_near = np.abs(tx_position_m) <= FAR_M  # and finite

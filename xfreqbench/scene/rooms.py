@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import trimesh
 from jaxtyping import Float
 
 from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
@@ -52,6 +51,8 @@ def objects_of(scene: Scene, meshes: Sequence[SurfaceMesh]) -> list[SurfaceMesh]
 
 def _without_shell(room: SurfaceMesh, receiver_m: Float[FloatArray, "3"]) -> list[SurfaceMesh]:
     """The objects that are one mesh with the room about them: its connected parts but the widest about the receiver."""
+    import trimesh
+
     parts = [
         replace(room, vertices_m=np.asarray(part.vertices), triangles=np.asarray(part.faces, np.int64))
         for part in trimesh.Trimesh(room.vertices_m, room.triangles).split(only_watertight=False)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float, Int
 
-from xfreqbench.scene import visibility_kernels
 from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
 from xfreqbench.scene.patches import components
 from xfreqbench.types import FloatArray, IntArray, NDArray
@@ -16,6 +15,8 @@ from xfreqbench.types import FloatArray, IntArray, NDArray
 
 def distance_to_surfaces(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"]) -> Float[FloatArray, "N"]:
     """Distance in metres from each of N points to the nearest triangle; infinite where there are no triangles."""
+    from xfreqbench.scene import visibility_kernels
+
     corners_m = np.ascontiguousarray(triangle_corners_m(meshes))
     return visibility_kernels.nearest_distances(corners_m, np.ascontiguousarray(points_m, dtype=np.float64))
 
@@ -43,11 +44,13 @@ def is_closed(mesh: SurfaceMesh) -> bool:
     return bool(_shell(mesh).is_watertight)
 
 
-def _shell(mesh: SurfaceMesh) -> trimesh.Trimesh:
-    """A mesh with each vertex and each triangle once, though the mesh may have a triangle several times, in any order.
+def _shell(mesh: SurfaceMesh) -> Any:
+    """A mesh of trimesh with each vertex and each triangle once; those given may be there several times, in any order.
 
     Connected parts with an edge that does not belong to exactly two triangles, such as flaps and shelves, are left out.
     """
+    import trimesh
+
     shell = trimesh.Trimesh(mesh.vertices_m, mesh.triangles)
     if not shell.is_watertight:
         shell.update_faces(shell.unique_faces())
@@ -98,6 +101,8 @@ def sees(
     meshes: Sequence[SurfaceMesh], start_m: Float[FloatArray, "N 3"], end_m: Float[FloatArray, "3"]
 ) -> Bool[NDArray[np.bool_], "N"]:
     """Whether the straight segment from each of N starts to the one end meets no triangle (Möller–Trumbore)."""
+    from xfreqbench.scene import visibility_kernels
+
     points_m = (np.ascontiguousarray(points, dtype=np.float64) for points in (start_m, end_m))
     return visibility_kernels.free_segments(np.ascontiguousarray(triangle_corners_m(meshes)), *points_m)
 

@@ -23,6 +23,7 @@ import numba
 from numba.core import config
 from numba.core.caching import FunctionCache
 
+from xfreqbench.system.bars import announce_compilation
 from xfreqbench.system.machine import safe_path
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
@@ -68,6 +69,7 @@ def _compile_beside(module: str, name: str, sig: Any) -> bool:
     """Have this process's compiler compile a kernel for types of arguments; return whether it did."""
     if _IS_COMPILER in os.environ:
         return False
+    announce_compilation()
     asked = pickle.dumps((module, name, sig))
     for _ in range(2):  # one that was idle may end at this moment
         with suppress(OSError):

@@ -22,6 +22,7 @@ from types import TracebackType
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from xfreqbench.errors import ClusterError, XFreqBenchError
+from xfreqbench.system.caches import ANNOUNCES  # bars import NumPy, which counts the cores of its process
 from xfreqbench.system.cluster import SCHEME, dask_workers, lost_workers
 from xfreqbench.system.machine import safe_path
 
@@ -158,7 +159,10 @@ class LocalProcesses:
         self._is_ending = threading.Event()
         self._threads = ThreadPoolExecutor(len(places))
         self._free: SimpleQueue[_Place] = SimpleQueue()
-        self._places = [_Place(context, partial(_settle, cores, len(places) == 1)) for cores in places]
+        self._places = [
+            _Place(context, partial(_settle, cores, len(places) == 1), is_first=place == 0)
+            for place, cores in enumerate(places)
+        ]
         for place in self._places:
             self._free.put(place)
 
@@ -211,13 +215,15 @@ class _Place:
 
     context: BaseContext
     settle: Callable[[Mapping[str, str]], None]
+    is_first: bool  # which alone announces compilation
     _process: ProcessPoolExecutor | None = None
 
     def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
         """Have the process of this place make a call; it is started if there is none."""
         with safe_path():  # making an executor starts a process, too: multiprocessing's tracker of semaphores
             if self._process is None:
-                self._process = ProcessPoolExecutor(1, self.context, self.settle, (dict(os.environ),))
+                environment = dict(os.environ) | ({} if self.is_first else {ANNOUNCES: "0"})
+                self._process = ProcessPoolExecutor(1, self.context, self.settle, (environment,))
             return self._process.submit(call, argument)
 
     def terminate(self) -> None:

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int, UInt8
-from scipy.spatial.distance import cdist
-from scipy.special import j1
 
 from xfreqbench.scene.model import NEAR_M, ReceiverArray
 from xfreqbench.types import FloatArray, IntArray, NDArray
@@ -142,6 +140,9 @@ class RaggedPaths:
         It is Σ g_l·g_m*·2J₁(x)/x over all pairs of paths, x = 2πR·|u_l − u_m|, where R is the radius in wavelengths and
         u the horizontal part of a direction of departure. An infinite disc is taken to leave Σ|gain|².
         """
+        from scipy.spatial.distance import cdist
+        from scipy.special import j1
+
         if np.isinf(radius_wavelengths):
             return np.stack([self.total_power(carrier)[tx] for carrier in range(len(carrier_hz))], axis=1)
         turned = self.gain * np.exp(-2j * np.pi * self.delay_s[:, None] * carrier_hz)
