@@ -88,7 +88,7 @@
   const labels = room.labels.map(({text, at}) => {
     const label = document.createElement("span");
     label.textContent = text;
-    canvas.after(label);
+    canvas.parentNode.append(label);
     return {label, point: vectors(at)[0]};
   });
   const place = ({label, point}) => {

@@ -183,7 +183,7 @@ function chart(host, title, height, x, y) {
   const figure = element("figure", {}, ...(title ? [element("figcaption", {}, title)] : []));
   host.append(figure);
   const width = Math.max(240, Math.min(figure.clientWidth, 900));
-  const box = { left: 52, right: width - 10, top: 8, bottom: height - 36 };
+  const box = { left: 52, right: width - 16, top: 8, bottom: height - 36 };
   const svg = drawn("svg", { viewBox: `0 0 ${width} ${height}`, width, height, role: "group", "aria-label": title });
   const xScale = scale(x.domain ?? extent(x.values, x), [box.left, box.right], x.log, x.count ?? width / 80);
   const yScale = scale(y.domain ?? extent(y.values, y), [box.bottom, box.top], y.log, 5);

@@ -194,7 +194,7 @@ def point_along(line: Float[FloatArray, "n D"], share: float) -> Float[FloatArra
 def _place_handles(room: ShownRoom) -> list[Line2D]:
     style: dict[str, Any] = {"linestyle": "", "markeredgecolor": "none"}
     receiver = Line2D([], [], marker="^", color="#d55e00", label="receiver and its boresight", **style)
-    edge = {**style, "markeredgecolor": FIXED_BLACK}
+    edge = {**style, "markeredgecolor": FIXED_BLACK, "markersize": 11}
     chosen = Line2D([], [], marker="*", color=FIXED_WHITE, label=f"transmitter {room.tx}", **edge)
     return [receiver, chosen] + [
         Line2D([], [], marker="o", color=_GROUP_COLOURS[name], label=f"{name} ({len(position_m)})", **style)
