@@ -45,7 +45,7 @@ class BoardRow:
         """The most that a fit may take, such as `≤ 300 s`; empty without a limit and for trivial predictors."""
         return lane_of(self.records[0])
 
-    @property
+    @cached_property
     def timing_machines(self) -> list[str]:
         """The machine of every fit whose budget is a time."""
         timed = [record for record in self.records if lane_of(record) and record.job.budget.max_seconds is not None]
