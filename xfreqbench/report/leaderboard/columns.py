@@ -94,6 +94,7 @@ TABLE = (
     *("skill", "seed spread", "seeds", *COSTS, "trained on"),
 )
 PAIR = (*_OTHER_METRICS, *COSTS)
+OTHER_SCORES = ("method", "mean", "p10", *_OTHER_METRICS)
 PAGE = (
     *("method", "average", "skill", "rank", "splits", "p10", "seeds"),
     *("psnr", "power_error", "aoa_error", "beam_loss"),
