@@ -42,7 +42,7 @@ def test_every_file_a_command_could_write_over_is_refused(tmp_path: Path) -> Non
         ["report", tmp_path / "nowhere"],
         ["view", tmp_path / "data.h5", "-o", tmp_path / "seen"],
         ["card", tmp_path / "data.h5", "--license", "CC0-1.0", "-o", tmp_path / "seen"],
-        ["export", tmp_path / "data.h5", "-o", tmp_path / "seen"],
+        ["export", tmp_path / "data.h5", "--convention", "xfreq-gs", "--set", "plane=xy", "-o", tmp_path / "seen"],
         ["new-method", "mine", "-o", tmp_path / "seen"],
         ["bench", "savings", "-o", tmp_path / "notes"],
         ["bench", "stress", "--only", "no such case", "-o", tmp_path / "notes"],
