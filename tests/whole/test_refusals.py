@@ -27,12 +27,23 @@ from xfreqbench.scene.model import MAX_CANDIDATES, parse_scene
 def test_every_file_a_command_could_write_over_is_refused(tmp_path: Path) -> None:
     (tmp_path / "records.jsonl").write_bytes(sound_records())
     (tmp_path / "data.h5").write_bytes(sound_dataset())
-    for name in ("mine.png", "mine.html", "mine.md", "mine.h5", "notes"):
+    mine = ("mine.png", "mine.html", "mine.md", "mine.h5", "notes", "table.csv", "rows.parquet")
+    for name in (*mine, "pages/office.md", "seen/index.html"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(b"mine")  # half a line
     commands: list[list[str | Path]] = [
         ["plot", tmp_path / "data.h5", "-o", tmp_path / "mine.png"],
         ["report", tmp_path, "-q", "-o", tmp_path / "mine.md"],
         ["report", tmp_path, "-q", "-o", tmp_path / "new" / "r.md", "--html", tmp_path / "mine.html"],
+        ["report", tmp_path, "-q", "-o", tmp_path / "new" / "r.md", "--html", tmp_path / "table.html"],
+        ["report", tmp_path, "-q", "-o", tmp_path / "new" / "r.md", "--html", tmp_path / "rows.html"],
+        ["report", tmp_path, "-q", "-o", tmp_path / "new" / "r.md", "--maps", tmp_path / "notes"],
+        ["report", tmp_path, "-q", "--details", tmp_path / "pages"],
+        ["report", tmp_path / "nowhere"],
+        ["view", tmp_path / "data.h5", "-o", tmp_path / "seen"],
+        ["card", tmp_path / "data.h5", "--license", "CC0-1.0", "-o", tmp_path / "seen"],
+        ["export", tmp_path / "data.h5", "--convention", "xfreq-gs", "--set", "plane=xy", "-o", tmp_path / "seen"],
+        ["new-method", "mine", "-o", tmp_path / "seen"],
         ["bench", "savings", "-o", tmp_path / "notes"],
         ["bench", "stress", "--only", "no such case", "-o", tmp_path / "notes"],
         ["split", "--data", tmp_path / "data.h5", "--targets", "10", "-o", tmp_path / "mine.h5", "-q"],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,7 +13,6 @@ from xfreqbench.cli.options import (
     SEEDS,
     TARGETS,
     Executor,
-    Output,
     Quiet,
     ScoredOnOption,
     app,
@@ -28,7 +25,7 @@ from xfreqbench.cli.options import (
 from xfreqbench.errors import XFreqBenchError
 
 if TYPE_CHECKING:
-    from xfreqbench.runs.records import RunRecord
+    pass
 
 Overrides = Annotated[
     tuple[str, ...],
@@ -174,6 +171,7 @@ def run(
 
     A killed run goes on where it stopped, in mid-fit too.
     """
+    from xfreqbench.data.unseen_rooms import ROOM_PROTOCOLS
     from xfreqbench.runs.estimate import estimate_runs
     from xfreqbench.runs.run import asked_tasks, run_shown
     from xfreqbench.system.workers import require_executor
@@ -189,23 +187,8 @@ def run(
     from xfreqbench.report.leaderboard.report import leaderboard_summary  # after the refusals, which it would delay
     from xfreqbench.report.leaderboard.results import ranked_beside
 
-    say(f"{leaderboard_summary(ranked_beside(results, records))}\n\nEvery metric: xfreqbench report {results}", quiet)
-    _warn_of_busy(records, quiet)
-
-
-def _warn_of_busy(records: Sequence[RunRecord], quiet: bool) -> None:
-    """Say on stderr which fits got too little of a core for their seconds to mean much."""
-    from xfreqbench.runs.records import LEAST_CORE_SHARE
-
-    starved = [record for record in records if record.core_share < LEAST_CORE_SHARE]
-    if starved and not quiet:
-        least = min(starved, key=lambda record: record.core_share)
-        print(
-            f"xfreqbench: {len(starved)} of {len(records)} fits had under {LEAST_CORE_SHARE:.0%} of a core, the least "
-            f"{least.core_share:.0%} ({least.job.method} on {least.job.split}): other programs were busy. Times mean "
-            "little, and budgets in seconds gave fewer steps; budgets in steps, as in --budget 500steps, do not mind.",
-            file=sys.stderr,
-        )
+    more = "Tables by carrier, type of room and sight" if protocol in ROOM_PROTOCOLS else "Every metric"
+    say(f"{leaderboard_summary(ranked_beside(results, records))}\n\n{more}: xfreqbench report {results}", quiet)
 
 
 def _seeds(text: str) -> list[int]:
@@ -291,7 +274,14 @@ def benchmark(
 def report(
     results: list[str],
     *,
-    output: Output = Path("BENCHMARK.md"),
+    output: Annotated[
+        Path | None,
+        Parameter(
+            name=["--output", "-o"],
+            help="Write the report here, with figures and tables of CSV beside it. Without it the report is printed, "
+            "with every metric.",
+        ),
+    ] = None,
     html: Annotated[
         Path | None,
         Parameter(
@@ -315,7 +305,9 @@ def report(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Rebuild the leaderboard from the records of results folders; without addresses, offline.
+    """Print or write the leaderboard, made from the records of results folders; without addresses, offline.
+
+    Only files that this command wrote are replaced.
 
     Parameters
     ----------
@@ -323,25 +315,30 @@ def report(
         Results folder, file of records, its address (https), or a frozen version of the reference board (v1); those of
         several are ranked together.
     """
+    from xfreqbench.report.leaderboard.page import require_page, write_page
+    from xfreqbench.report.leaderboard.paper import ship_maps
     from xfreqbench.report.leaderboard.report import write_report
     from xfreqbench.report.leaderboard.results import read_results, results_at
+    from xfreqbench.report.leaderboard.shown_maps import require_own_maps
 
     found = read_results([*map(results_at, results)])
     earlier = None if since is None else results_at(since)
+    if html is not None:
+        require_page(found, html)
+    if maps is not None:
+        require_own_maps(maps)
     written = write_report(found, output, details, earlier)
+    if output is None:
+        say(written.text, quiet)
     for path in written.paths:
         say(f"wrote {path}", quiet)
     if written.num_truncated:
         say("the last line of the records is cut off, as a killed run leaves it; it was not read", quiet)
     if maps is not None:
-        from xfreqbench.report.leaderboard.paper import ship_maps
-
         say(f"wrote {ship_maps(found, maps)}", quiet)
-    if details is None:
-        say("claims and tables of the paper, distributions and maps stand in the pages of --details FOLDER", quiet)
+    if output is not None and details is None:
+        say("for a page of each scene, and the paper's tables beside ours, add --details FOLDER", quiet)
     if html is not None:
-        from xfreqbench.report.leaderboard.page import write_page
-
         say(f"wrote {write_page(found, html, earlier)} and, beside it, its tables", quiet)
 
 
@@ -350,14 +347,14 @@ def compare(a: str, b: str) -> None:
     """Set two results side by side, paired by transmitters: what differs, with its 95 % interval.
 
     Rows of the same method, options and budget are paired, then rows that are the only ones of their method in A and in
-    B, and at last the only row left in A with the only one in B. If A is one row, as in
-    `compare results/nearest results`, every row of B is compared with it.
+    B, the only row left in A with the only one in B, and what is left in A with the newest version of its method in B.
+    If A is one row, as in `compare results/nearest results`, every other row of B is compared with it.
 
     Parameters
     ----------
     a
-        Results folder, file of records, FOLDER/METHOD for those of one method, FOLDER/ID for one record, the address of
-        a file (https), or a frozen version of the reference board (v1).
+        Results folder, file of records, FOLDER/METHOD for those of one method, FOLDER/METHOD@CODE for one version of
+        it, FOLDER/ID for one record, the address of a file (https), or a frozen version of the reference board (v1).
     b
         The same, to be compared with A.
     """

@@ -6,7 +6,7 @@ import base64
 import errno
 import os
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
@@ -20,11 +20,11 @@ from jaxtyping import Int
 from pydantic import (
     AfterValidator,
     BaseModel,
-    BeforeValidator,
     ConfigDict,
     Field,
     PlainSerializer,
     ValidationError,
+    WrapValidator,
     model_validator,
 )
 
@@ -93,7 +93,8 @@ def unpack(packed: Any, step: float) -> Any:
     if not inflate.eof or len(content) % 4:
         raise ValueError("a packed list is cut off, or longer than ten million numbers")
     differences = np.frombuffer(content, np.uint8).reshape(4, -1).T.copy().view("<i4")
-    return (differences.ravel().cumsum(dtype=np.int64) * step).tolist()
+    multiples = differences.ravel().cumsum(dtype=np.int64)
+    return (multiples if step == 1 else multiples / round(1 / step)).tolist()  # each the number nearest to its decimals
 
 
 def _pack_by_tx(scores: tuple[tuple[float, ...], ...]) -> list[Any]:
@@ -102,14 +103,23 @@ def _pack_by_tx(scores: tuple[tuple[float, ...], ...]) -> list[Any]:
     return [pack([len(of_transmitter) for of_transmitter in scores], 1), pack(every, _STEP)]
 
 
-def _unpack_by_tx(packed: Any) -> Any:
+def _unpacked_quantiles(packed: Any, validate: Callable[[Any], list[float]]) -> list[float]:
+    """Quantiles from their text, or whatever else `validate` takes; a text needs no look at each number."""
+    found = unpack(packed, _STEP)
+    return found if isinstance(packed, str) and len(found) == NUM_QUANTILES else validate(found)
+
+
+def _unpacked_by_tx(packed: Any, validate: Callable[[Any], tuple[tuple[float, ...], ...]]) -> Any:
+    """Scores by transmitter from the texts of `_pack_by_tx`, or whatever else `validate` takes."""
     if not (isinstance(packed, list) and len(packed) == 2 and all(isinstance(text, str) for text in packed)):
-        return packed
+        return validate(packed)
     ends = np.cumsum(unpack(packed[0], 1), dtype=np.int64)
     scores = unpack(packed[1], _STEP)
     if len(scores) != (ends[-1] if len(ends) else 0):
         raise ValueError("there are not as many scores as samples")
-    return [scores[start:end] for start, end in pairwise([0, *ends.tolist()])]
+    if not (np.diff(ends, prepend=0) > 0).all():
+        raise ValueError("a transmitter is without samples")
+    return tuple(tuple(scores[start:end]) for start, end in pairwise([0, *ends.tolist()]))
 
 
 # The digits that mean something. Numbers are rounded where a record is made or read, so that both are the same.
@@ -120,12 +130,12 @@ FiniteScore = Annotated[Score, Field(allow_inf_nan=False)]
 Quantiles = Annotated[
     list[Annotated[float, AfterValidator(partial(round, ndigits=4))]],
     Field(min_length=NUM_QUANTILES, max_length=NUM_QUANTILES),
-    BeforeValidator(partial(unpack, step=_STEP)),
+    WrapValidator(_unpacked_quantiles),
     PlainSerializer(partial(pack, step=_STEP), when_used="json"),
 ]
 ScoresByTransmitter = Annotated[
     tuple[Annotated[tuple[FiniteScore, ...], Field(min_length=1)], ...],
-    BeforeValidator(_unpack_by_tx),
+    WrapValidator(_unpacked_by_tx),
     PlainSerializer(_pack_by_tx, when_used="json"),
 ]
 Findings = Annotated[dict[str, Any], AfterValidator(_rounded_within)]

@@ -86,13 +86,26 @@ def test_runs_of_other_code_are_another_row() -> None:
     assert sorted(row.value(SPLITS[0], median_ssim) for row in board.rows) == [0.8, 0.9]
 
 
-def test_no_two_rows_have_one_label_even_of_one_commit() -> None:
+def test_versions_of_a_method_are_named_by_their_time_and_their_code() -> None:
+    older = [
+        seeded(0.9, seed, code_sha256="3fa9c1" + "0" * 58, time_utc=f"2026-11-27T0{seed}:30:00+00:00")
+        for seed in (8, 9)
+    ]
+    newer = seeded(0.8, 8, code_sha256="e0aa12" + "0" * 58, time_utc="2026-11-28T10:02:59+00:00", git_commit="0123456")
+    (board,) = boards([newer, *older])
+    assert {row.short_label: len(row.records) for row in board.rows} == {
+        "ours (2026-11-27 08:30, code 3fa9c1)": 2,
+        "ours (2026-11-28 10:02, code e0aa12)": 1,
+    }
+
+
+def test_no_two_rows_have_one_label_even_of_one_code() -> None:
     records = [seeded(0.9, seed, config={"width": seed}) for seed in range(3)]
     (board,) = boards(records)
     assert sorted(row.label for row in board.rows) == [
-        "ours (≤ 300 s) @ ?",
-        "ours (≤ 300 s) @ ? #2",
-        "ours (≤ 300 s) @ ? #3",
+        "ours (≤ 300 s) (2026-01-01 00:00, code ?)",
+        "ours (≤ 300 s) (2026-01-01 00:00, code ?) #2",
+        "ours (≤ 300 s) (2026-01-01 00:00, code ?) #3",
     ]
 
 
@@ -180,6 +193,6 @@ def test_an_external_file_with_a_part_that_another_has_is_a_row_of_its_own_with_
     later = [external(split, file="b", time_utc="2026-01-02T00:00:00+00:00") for split in SPLITS[1:]]
     (board,) = boards([*later, *first])
     assert {row.label: tuple(row.by_split) for row in board.rows} == {
-        "theirs (external) @ aaaaaaa": SPLITS[:2],
-        "theirs (external) @ bbbbbbb": SPLITS[1:],
+        "theirs (external) (2026-01-01 00:00, file aaaaaa)": SPLITS[:2],
+        "theirs (external) (2026-01-02 00:00, file bbbbbb)": SPLITS[1:],
     }

@@ -174,5 +174,5 @@ def test_a_picture_is_small_and_a_palette_of_its_colours() -> None:
 
 def test_a_page_of_measurements_alone_is_refused(tmp_path: Path) -> None:
     store(tmp_path, make_bench())
-    with pytest.raises(DataError, match="holds no runs"):
+    with pytest.raises(DataError, match="no runs in known rooms"):
         write_page(tmp_path, tmp_path / "page.html")

@@ -4,9 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.leaderboard_records import make_bench, make_followed, make_records
+from tests.support.leaderboard_records import make_bench, make_followed, make_records, rows_of
 from tests.support.stored_records import make_record, store
 from xfreqbench.errors import DataError, OutputExistsError, StorageError
+from xfreqbench.maps.metrics import METRICS
+from xfreqbench.report.leaderboard.columns import metric_title
 from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
 
 
@@ -29,6 +31,19 @@ def test_the_same_records_give_the_same_bytes_of_files_that_the_report_links(tmp
     assert "ours (≤ 64 steps)" in time and "ms a sample" in bench
 
 
+def test_without_a_file_the_report_has_every_metric_and_row_in_itself_and_nothing_is_written(tmp_path: Path) -> None:
+    bench = make_bench(rows=tuple((f"setting {number}", "1.5") for number in range(40)))
+    results = store(tmp_path / "results", *make_records(), make_followed(), bench)
+    before = set(tmp_path.rglob("*"))
+    text = write_report(results, None).text
+    assert set(tmp_path.rglob("*")) == before
+    assert "](" not in text and "| setting 39 " in text
+    ranking, others, *_ = rows_of(text, "ours")
+    assert ranking["24.25GHz"] == "0.9500"
+    titles = {metric_title(name) for name in METRICS if name not in ("ssim", "aoa_error")}
+    assert titles | {"mean", "10th pct."} <= others.keys()
+
+
 def test_half_a_line_at_the_end_of_the_records_is_told_and_changes_nothing(tmp_path: Path) -> None:
     output = tmp_path / "B.md"
     assert write_report(store(tmp_path, *make_records()), output).num_truncated == 0
@@ -49,7 +64,7 @@ def test_several_folders_are_ranked_together_and_each_run_counts_once(tmp_path: 
         for name, given in (("two", [tmp_path / "one", tmp_path / "other"]), ("all", tmp_path / "all"))
     )
     assert together.read_text().replace("two-", "all-") == alone.read_text()
-    with pytest.raises(DataError, match=r"empty.* holds no records"):
+    with pytest.raises(DataError, match=r"empty does not exist"):
         write_report([tmp_path / "one", tmp_path / "empty"], tmp_path / "none.md")
 
 

@@ -35,8 +35,8 @@ def test_a_shift_of_every_map_is_found_with_its_interval(tmp_path: Path) -> None
     assert difference == pytest.approx(float(row["B"]) - float(row["A"]), abs=2e-4)
     assert (row["splits"], row["seeds"], row["B is"]) == ("24.25GHz", "3 and 3", "better")
     assert first_row(compare_results(b, a), "ours")["B is"] == "worse"
-    same = compare_results(a, a)
-    assert first_row(same, "ours")["B is"] == "=" and "Only in" not in same
+    with pytest.raises(DataError, match="Records are not compared with themselves"):
+        compare_results(a, a)
 
 
 def test_scores_and_costs_stand_side_by_side(tmp_path: Path) -> None:
@@ -69,8 +69,8 @@ def test_rows_are_paired_by_label_then_by_method_and_at_last_the_only_ones(
     tmp_path: Path, of_a: tuple[str, ...], of_b: tuple[str, ...], paired: list[str], alone: bool
 ) -> None:
     folders = [
-        store(tmp_path / name, *(labelled(label, 0.9 - nth / 10) for nth, label in enumerate(labels)))
-        for name, labels in (("a", of_a), ("b", of_b))
+        store(tmp_path / name, *(labelled(label, best - nth / 10) for nth, label in enumerate(labels)))
+        for name, best, labels in (("a", 0.9, of_a), ("b", 0.8, of_b))
     ]
     tables = compare_results(*folders)
     assert all(rows_of(tables, label) for label in paired)
@@ -88,8 +88,46 @@ def test_a_lone_row_is_the_reference_of_every_other_row(tmp_path: Path) -> None:
     tables = compare_results(folder / "ours", folder)
     for method in ("nearest", "log-frequency"):
         assert first_row(tables, f"ours and {method}")["B is"] == "–"  # of one seed
-    assert first_row(tables, "ours")["B is"] == "="
+    assert not rows_of(tables, "ours")  # not with itself
     assert "Only in" not in tables
+
+
+def versions_of(method: str, *codes: str) -> list[RunRecord]:
+    """Records of versions of a method, the oldest first, each better than the one before by `SHIFT`."""
+    return [
+        record.model_copy(
+            update={"code_sha256": code * 64, "time_utc": f"2026-11-2{day}T10:02:00+00:00", "id": f"{code}{seed}"}
+        )
+        for day, code in enumerate(codes)
+        for seed, record in enumerate(of_three_seeds(method, day * SHIFT, 1 + 10 * day))
+    ]
+
+
+def test_each_older_version_of_a_method_is_compared_with_the_newest(tmp_path: Path) -> None:
+    versions = versions_of("ours", "a", "b", "c")
+    folder = store(tmp_path / "results", *versions, *of_three_seeds("theirs", 0.0, 90))
+    tables = compare_results(folder / "ours", folder)
+    labels = [f"ours (2026-11-2{day} 10:02, code {code * 6})" for day, code in enumerate("abc")]
+    for label, lost in zip(labels[:2], (2, 1), strict=True):
+        row = first_row(tables, f"{label} and {labels[2]}")
+        low, high = numbers(row["B − A, 95 % interval"])[1:]
+        assert low < lost * SHIFT < high and row["B is"] == "better"
+    assert not rows_of(tables, labels[2])
+    assert "Only in B: theirs." in tables and "Only in A" not in tables
+
+    earlier = store(tmp_path / "earlier", *versions[:3])  # an older state of the folder
+    assert rows_of(compare_results(earlier, folder / "ours"), f"ours and {labels[2]}")
+
+
+def test_a_version_of_a_method_is_named_by_the_hash_of_its_code(tmp_path: Path) -> None:
+    folder = store(tmp_path / "results", *versions_of("ours", "a", "b"))
+    for older, newer in (("ours@a", "ours@b"), (f"ours@{'a' * 6}", f"ours@{'b' * 64}")):
+        row = first_row(compare_results(folder / older, folder / newer), "ours")
+        assert row["B is"] == "better"
+    expected = r"ours@bbbbbb \(2026-11-21 10:02\), ours@aaaaaa \(2026-11-20 10:02\)"
+    for name in ("ours@c", "ours@"):
+        with pytest.raises(DataError, match=f"newest first, it has {expected}"):
+            records_at(folder / name)
 
 
 def test_the_records_of_a_method_are_named_by_its_folder_and_its_name(tmp_path: Path) -> None:
@@ -122,7 +160,7 @@ def test_data_of_others_cannot_be_compared(tmp_path: Path) -> None:
     later = store(tmp_path / "later", make_record("ours", metrics_version="9"))
     with pytest.raises(DataError, match="versions 1 and 9 of protocol and metrics"):
         compare_results(a, later)
-    with pytest.raises(DataError, match="holds no records"):
+    with pytest.raises(DataError, match="does not exist"):
         compare_results(a, tmp_path / "nowhere")
 
 

@@ -99,7 +99,12 @@ class Board:
 
     def best_trivial(self, split: str) -> float:
         """The largest median SSIM of the trivial predictors on a split; nan where `trivial_rows` are none."""
-        return max((row.value(split, median_ssim) for row in self.trivial_rows(split)), default=nan)
+        return self._best_trivial.get(split, nan)
+
+    @cached_property
+    def _best_trivial(self) -> dict[str, float]:
+        trivial = {split: self.trivial_rows(split) for split in self.splits}
+        return {split: max(row.value(split, median_ssim) for row in rows) for split, rows in trivial.items() if rows}
 
     def trivial_rows(self, split: str) -> list[BoardRow]:
         """The rows of the trivial predictors on a split; none without one of `NEEDED_TRIVIAL`, which might be the best.

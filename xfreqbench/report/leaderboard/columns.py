@@ -94,6 +94,7 @@ TABLE = (
     *("skill", "seed spread", "seeds", *COSTS, "trained on"),
 )
 PAIR = (*_OTHER_METRICS, *COSTS)
+OTHER_SCORES = ("method", "mean", "p10", *_OTHER_METRICS)
 PAGE = ("rank", "method", "average", "skill", "splits", "aoa_error", "seconds", "milliseconds")
 PAGE_MORE = (  # which the page shows when it is asked to
     *("seeds", "p10", "psnr", "power_error", "beam_loss"),

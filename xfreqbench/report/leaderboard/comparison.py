@@ -6,7 +6,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property, lru_cache
 from itertools import chain
 from math import isqrt, nan
 
@@ -27,19 +27,19 @@ Interval = tuple[float, float]
 UNKNOWN: Interval = (nan, nan)
 
 
-def medians_of(row: BoardRow, split: str, number: int = NUM_RESAMPLES) -> Float[FloatArray, "R"]:
-    """Median SSIM over the drawn transmitters in each of R = `number` resamples, mean over the drawn seeds.
+def medians_of(row: BoardRow, splits: Sequence[str], number: int = NUM_RESAMPLES) -> list[Float[FloatArray, "R"]]:
+    """Median SSIM on each split, over the drawn transmitters, in each of R = `number` resamples, mean over drawn seeds.
 
-    It is computed once for a row, and kept there.
+    Each is computed once for a row, and kept there.
     """
-    if (split, number) not in row.drawn:
-        records = row.by_split[split]
-        medians = np.array([resampled_medians(record.ssim_by_tx, number) for record in records])  # (S, R)
+    missing = [split for split in splits if (split, number) not in row.drawn]
+    every = resampled_medians([record.ssim_by_tx for split in missing for record in row.by_split[split]], number)
+    for split in missing:
+        medians, every = np.split(every, [len(row.by_split[split])])  # (S, R), and those of the other splits
         seed = int(hashlib.sha256(f"{row.label} {split}".encode()).hexdigest(), 16)
-        drawn = np.random.default_rng(seed).integers(len(records), size=medians.shape)
-        resampled = np.take_along_axis(_widened(medians), drawn, axis=0).mean(axis=0)
-        row.drawn[split, number] = np.asarray(resampled)
-    return row.drawn[split, number]
+        drawn = np.random.default_rng(seed).integers(len(medians), size=medians.shape)
+        row.drawn[split, number] = np.take_along_axis(_widened(medians), drawn, axis=0).mean(axis=0)
+    return [row.drawn[split, number] for split in splits]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +69,19 @@ class Comparison:
 
     @cached_property
     def ranked_rows(self) -> list[BoardRow]:
-        """The rows that can be ranked, the best first."""
-        return [row for row in self.rows if self.is_ranked(row)]
+        """The rows with samples and seeds enough that, where their budget is a time, had it on the machine of most.
+
+        The best comes first.
+        """
+        return [row for row in self.rows if self.has_enough_seeds(row) and self.is_timed_alike(row)]
+
+    @cached_property
+    def _ranked_labels(self) -> set[str]:
+        return {row.label for row in self.ranked_rows}
 
     def is_ranked(self, row: BoardRow) -> bool:
-        """Whether a row has samples and seeds enough and, where its budget is a time, had it on the machine of most."""
-        return self.has_enough_seeds(row) and self.is_timed_alike(row)
+        """Whether a row is one of `ranked_rows`."""
+        return row.label in self._ranked_labels
 
     def has_enough_seeds(self, row: BoardRow) -> bool:
         """Whether a row has its samples stored and at least `MIN_SEEDS` seeds; a trivial predictor needs one seed."""
@@ -143,9 +150,9 @@ class Comparison:
             return UNKNOWN
         skills = []
         for split in self.splits:
-            best = np.max([medians_of(trivial, split) for trivial in self._trivial(split)], axis=0)
+            best = np.max([medians_of(trivial, [split])[0] for trivial in self._trivial(split)], axis=0)
             left_open = np.where(best < 1, 1 - best, nan)
-            skills.append(1 - (1 - medians_of(row, split)) / left_open)
+            skills.append(1 - (1 - medians_of(row, [split])[0]) / left_open)
         return _interval(np.mean(skills, axis=0))
 
     def interval(self, row: BoardRow) -> Interval:
@@ -161,7 +168,7 @@ class Comparison:
         return rows if all(record.ssim_by_tx for row in rows for record in row.by_split[split]) else []
 
     def _average(self, row: BoardRow, number: int = NUM_RESAMPLES) -> Float[FloatArray, "R"]:
-        return np.mean([medians_of(row, split, number) for split in self.splits], axis=0)
+        return np.mean(medians_of(row, self.splits, number), axis=0)
 
 
 def comparisons_of(board: Board) -> list[Comparison]:
@@ -170,43 +177,101 @@ def comparisons_of(board: Board) -> list[Comparison]:
     return [Comparison(board, splits) for splits in [*board.split_sets(), *lone]]
 
 
-def resampled_medians(ssim_by_tx: Sequence[Sequence[float]], number: int = NUM_RESAMPLES) -> Float[FloatArray, "R"]:
-    """Median SSIM in each of R = `number` resamples of whole transmitters, a multiple of `NUM_RESAMPLES`.
+def resampled_medians(
+    scores: Sequence[Sequence[Sequence[float]]], number: int = NUM_RESAMPLES
+) -> Float[FloatArray, "S R"]:
+    """Median SSIM of S records in each of R = `number` resamples of whole transmitters, a multiple of `NUM_RESAMPLES`.
 
-    `ssim_by_tx` has the scores of each transmitter. The draw depends only on the number of transmitters. A score
-    counts as often as its transmitter was drawn, so that the scores are sorted once for all resamples, and counted in
-    blocks: the scores of a block are looked at only where the median lies in it.
+    `scores` has the scores of each transmitter, of each record. The draw depends only on the number of transmitters. A
+    score counts as often as its transmitter was drawn, so that the scores are sorted once for all resamples. Of those
+    well below the median only their number is needed, which one matrix product finds for all records.
     """
-    length = [len(samples) for samples in ssim_by_tx]
-    values = np.fromiter(chain.from_iterable(ssim_by_tx), np.float64, count=sum(length))
-    order = np.argsort(values, kind="stable")
-    ordered, owner = values[order], np.repeat(np.arange(len(length)), length)[order]
-    size = isqrt(len(values))  # of a block
-    num_empty = -len(values) % size
-    blocks = np.pad(owner, (0, num_empty)).reshape(-1, size)
-    medians = []
-    for times_drawn in _times_drawn(len(length), number):
-        times = times_drawn[blocks]  # of each score: (B, size, NUM_RESAMPLES)
-        times[-1, size - num_empty :] = 0
-        num_up_to = times.sum(axis=1, dtype=np.int32).cumsum(axis=0)
-        middle = []
-        for half in (num_up_to[-1] - 1) // 2, num_up_to[-1] // 2:
-            block = (num_up_to <= half).sum(axis=0)
-            inside = times[block, :, np.arange(NUM_RESAMPLES)].cumsum(axis=1, dtype=np.int32)  # (NUM_RESAMPLES, size)
-            before = np.take_along_axis(num_up_to, block[None], axis=0)[0] - inside[:, -1]
-            middle.append(block * size + (inside <= (half - before)[:, None]).sum(axis=1))
-        medians.append(ordered[middle].mean(axis=0))
-    return np.concatenate(medians)
+    medians = np.empty((len(scores), number))
+    lengths = [tuple(map(len, ssim_by_tx)) for ssim_by_tx in scores]
+    for num_scores in set(lengths):
+        records = [place for place, of_record in enumerate(lengths) if of_record == num_scores]
+        bands = [_Band.of(scores[place]) for place in records]
+        counted = np.array([num_scores, *(band.num_below for band in bands)])  # (1 + S, T)
+        exact = np.float32 if max(num_scores) * len(num_scores) < 2**24 else np.float64
+        for part, times_drawn in enumerate(_times_drawn(len(num_scores), number)):
+            num_drawn, *below = (counted.astype(exact) @ times_drawn.astype(exact)).astype(np.int32)
+            before = np.stack([(num_drawn - 1) // 2, num_drawn // 2])  # the lower and the upper median
+            resamples = slice(part * NUM_RESAMPLES, (part + 1) * NUM_RESAMPLES)
+            for place, band, num_below in zip(records, bands, below, strict=True):
+                middle = band.places_of(before - num_below, times_drawn)
+                if middle is None:
+                    middle = _Band.of(scores[place], is_whole=True).places_of(before, times_drawn)
+                medians[place, resamples] = band.ordered[middle].mean(axis=0)
+    return medians
 
 
-@cache
+@dataclass(frozen=True, eq=False)
+class _Band:
+    """The scores of a record in ascending order, and a band of them that has nearly all medians, cut into blocks.
+
+    `num_below` is how many scores of each of T transmitters come before the band, which begins at place `first`.
+    `owner` has the transmitter of each score of a block; the last `num_empty` of the last block are of none.
+    """
+
+    ordered: Float[FloatArray, "N"]
+    num_below: Integer[NDArray[np.integer], "T"]
+    first: int
+    owner: Integer[NDArray[np.integer], "B size"]
+    num_empty: int
+
+    @classmethod
+    def of(cls, ssim_by_tx: Sequence[Sequence[float]], is_whole: bool = False) -> _Band:
+        """The band within 4.5 standard deviations of how many scores of a resample are below the median, or all."""
+        num_scores = np.array(list(map(len, ssim_by_tx)))
+        values = np.fromiter(chain.from_iterable(ssim_by_tx), np.float64, count=num_scores.sum())
+        order = np.argsort(values, kind="stable")
+        owner = np.repeat(np.arange(len(num_scores)), num_scores)[order]
+        middle = len(values) // 2
+        num_lower = np.bincount(owner[:middle], minlength=len(num_scores))
+        most = len(values) if is_whole else int(2 + 4.5 * np.linalg.norm(num_lower - num_scores / 2))
+        first, last = max(0, middle - most), min(len(values), middle + most)
+        size = 1 + isqrt(last - first) // 2
+        num_empty = (first - last) % size
+        blocks = np.pad(owner[first:last], (0, num_empty)).reshape(-1, size)
+        num_below = np.bincount(owner[:first], minlength=len(num_scores))
+        return cls(values[order], num_below, first, blocks, num_empty)
+
+    def places_of(
+        self, before: Integer[NDArray[np.integer], "2 R"], times_drawn: Integer[NDArray[np.integer], "T R"]
+    ) -> Integer[NDArray[np.integer], "2 R"] | None:
+        """Places in `ordered` of the drawn scores that have so many drawn ones of the band before them.
+
+        None where the band does not have all of them. Scores are counted in blocks; those of a block are looked at one
+        by one only where the place lies in it.
+        """
+        num_blocks, size = self.owner.shape
+        times = times_drawn.take(self.owner, axis=0)  # (B, size, R)
+        times[-1, size - self.num_empty :] = 0
+        in_block = times.sum(axis=1, dtype=np.min_scalar_type(size * np.iinfo(times.dtype).max))
+        num_up_to = np.zeros((num_blocks + 1, NUM_RESAMPLES), np.int32)
+        for number, counted in enumerate(in_block):  # faster than numpy.cumsum along this axis
+            np.add(num_up_to[number], counted, out=num_up_to[number + 1])
+        block = np.count_nonzero(num_up_to[1:] <= before[:, None], axis=1)
+        if before.min() < 0 or block.max() == num_blocks:
+            return None
+        resample, place = np.arange(NUM_RESAMPLES), block * size
+        num_so_far, looked_at = num_up_to[block, resample], place * NUM_RESAMPLES + resample
+        for _ in range(size - 1):
+            num_so_far += times.take(looked_at)
+            place += num_so_far <= before
+            looked_at += NUM_RESAMPLES
+        return self.first + place
+
+
+@lru_cache(maxsize=4)
 def _times_drawn(num_tx: int, number: int) -> list[Integer[NDArray[np.integer], "T R"]]:
     """How often each of T transmitters is drawn in `number` resamples, `NUM_RESAMPLES` at a time: shapes (T, R)."""
     generator, parts = np.random.default_rng(num_tx), []
     for _ in range(number // NUM_RESAMPLES):
         drawn = generator.integers(num_tx, size=(NUM_RESAMPLES, num_tx))
-        counted = [np.bincount(places, minlength=num_tx) for places in drawn]
-        parts.append(np.ascontiguousarray(np.transpose(counted).astype(np.min_scalar_type(num_tx))))
+        places = drawn * NUM_RESAMPLES + np.arange(NUM_RESAMPLES)[:, None]
+        counted = np.bincount(places.ravel(), minlength=num_tx * NUM_RESAMPLES)
+        parts.append(counted.reshape(num_tx, NUM_RESAMPLES).astype(np.min_scalar_type(counted.max())))
     return parts
 
 

@@ -26,7 +26,7 @@ from xfreqbench.report.leaderboard.published import sources_of
 from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
-from xfreqbench.report.leaderboard.text import write_tables
+from xfreqbench.report.leaderboard.text import require_own_tables, write_tables
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
@@ -47,15 +47,8 @@ def write_page(results: Results, output_html: Path, since: Path | None = None) -
     else from the maps shipped beside them. Raises `DataError` where there are no runs and as `boards` does,
     `OutputExistsError` where `output_html` is another file, and `StorageError`.
     """
-    require_space(output_html, 1)
-    mark = f"<title>{_TITLE}</title>".encode()
-    require_own(output_html, lambda file: None if mark in file.read_bytes() else "is no page of results")
     found = read_results(results)
-    if not found.boards:
-        raise DataError(
-            f"{', '.join(str(folder.records_path) for folder in found.folders)} holds no runs. Run `xfreqbench run` "
-            "first, or mend the path."
-        )
+    require_page(found, output_html)
     main = main_scene(found.boards)
     boards = sorted(found.boards, key=lambda board: board.scene != main)
     comparisons = list(map(_comparisons, boards))
@@ -63,6 +56,19 @@ def write_page(results: Results, output_html: Path, since: Path | None = None) -
     write_text(output_html, _page(found, boards, comparisons, worse))
     write_tables(chain.from_iterable(comparisons), output_html.with_suffix(".csv"))
     return output_html
+
+
+def require_page(found: RankedResults, output_html: Path) -> None:
+    """Raise what `write_page` would raise for these results and this file, before anything is written."""
+    if not found.boards:
+        raise DataError(
+            f"{', '.join(str(folder.records_path) for folder in found.folders)} has no runs in known rooms, which are "
+            "what a page shows. Leave out --html: the report has the tables of unseen rooms and of measurements."
+        )
+    require_space(output_html, 1)
+    mark = f"<title>{_TITLE}</title>".encode()
+    require_own(output_html, lambda file: None if mark in file.read_bytes() else "is no page of results")
+    require_own_tables(output_html.with_suffix(".csv"))
 
 
 def _page(

@@ -33,6 +33,7 @@ from xfreqbench.report.leaderboard.tables import (
     CsvRow,
     csv_tables,
     measurement_rows,
+    other_scores_table,
     ranking_table,
     ranking_tables,
     require_own_csv,
@@ -63,13 +64,14 @@ _MOST_ROWS = 12  # of a measurement; all of them stand in a file beside the page
 
 @dataclass(frozen=True)
 class WrittenReport:
-    """The files that were written, the report first, then its figures.
+    """The text of the report, and the files that were written, the report first, then its figures.
 
     `num_truncated` counts records that were left out because only a part of their line was written.
     """
 
     paths: tuple[Path, ...]
     num_truncated: int
+    text: str
 
 
 def leaderboard_summary(records: Iterable[RunRecord]) -> str:
@@ -122,10 +124,11 @@ class _Page:
 
 
 def write_report(
-    results: Results, output_md: Path, details: Path | None = None, since: Path | None = None
+    results: Results, output_md: Path | None, details: Path | None = None, since: Path | None = None
 ) -> WrittenReport:
     """Write a Markdown report, its figures and tables from `results`: read ones, results folders or files of records.
 
+    Without `output_md` the report is not written, but returned as a text that has every metric in itself.
     With a folder `details` the report is a short one, and a page for each scene, one of the paper's claims, one of
     unseen rooms and one of the measurements are written there. With earlier results `since` it says what got worse.
     In an existing page only the text between the two marker comments is replaced. Raises `DataError` where there are
@@ -136,11 +139,14 @@ def write_report(
 
     found = read_results(results)
     worse = _worse(found, since)
-    if details is None:
+    if details is not None:
+        report, *pages = _pages(found, output_md or Path(), details, worse)
+    elif output_md is not None:
         text = report_markdown(found.boards, found.benches, worse)
-        pages = [_Page(output_md, "Benchmark", text, found.boards, found.benches)]
+        report, pages = _Page(output_md, "Benchmark", text, found.boards, found.benches), []
     else:
-        pages = _pages(found, output_md, details, worse)
+        report, pages = _Page(Path(), "Benchmark", report_markdown(found.boards, found.benches, worse, True)), []
+    pages = [report, *pages] if output_md is not None else pages
     _require_files_of_their_own([page.path for page in pages])
     kept = [_kept_text(page) for page in pages]
     for page in pages:
@@ -155,7 +161,7 @@ def write_report(
             write_csv(rows, path)
         write_text(page.path, f"{before}{BEGIN}\n\n{page.text}\n{END}{after}")
     beside = [path for page in pages for path in (*page.figures, *page.tables)]
-    return WrittenReport((*(page.path for page in pages), *beside), found.num_truncated)
+    return WrittenReport((*(page.path for page in pages), *beside), found.num_truncated, report.text)
 
 
 def _worse(found: RankedResults, since: Path | None) -> list[str]:
@@ -227,42 +233,54 @@ def _draw_maps(grid: MapGrid, path: Path) -> None:
     plot_map_grid(grid.columns, names, path)
 
 
-def report_markdown(ranked: Iterable[Board], benches: Sequence[BenchRecord], worse: Sequence[str] = ()) -> str:
-    """The generated part of a whole report: tables of every board and of every measurement, with links to figures."""
+def report_markdown(
+    ranked: Iterable[Board], benches: Sequence[BenchRecord], worse: Sequence[str] = (), is_alone: bool = False
+) -> str:
+    """The generated part of a whole report: tables of every board and of every measurement, with links to figures.
+
+    If it `is_alone`, no files are beside it: there are no links, and every metric and row is in a table.
+    """
     own = [bench for bench in benches if bench.bench == _WHAT_WAS_RUN]
     others = [bench for bench in benches if bench.bench != _WHAT_WAS_RUN]
-    sections = [_bench_sections(own), map(_board_section, ranked), worse, _bench_sections(others), [legend()]]
+    shown = [_board_section(board, is_alone) for board in ranked]
+    sections = [_bench_sections(own, is_alone), shown, worse, _bench_sections(others, is_alone), [legend()]]
     return "\n\n".join(chain.from_iterable(sections)) + "\n"
 
 
-def _board_section(board: Board) -> str:
-    title, link = heading(board.title), time_link(board)
+def _board_section(board: Board, is_alone: bool) -> str:
+    title, link = heading(board.title), "" if is_alone else time_link(board)
+    tables = ranking_tables(board)
+    if is_alone:
+        scores = map(other_scores_table, comparisons_of(board))
+        tables = [part for pair in zip(tables, scores, strict=True) for part in pair]
     parts = [
         f"## {title}",
         f"{prose(data_statement(board))}. **{leak_statement(board)}** {literal(origin_statement(board))}",
-        *ranking_tables(board),
+        *tables,
         *([f"![SSIM against seconds of fitting, {title}]({link})"] if link else []),
     ]
     return "\n\n".join(parts)
 
 
-def _bench_sections(benches: Sequence[BenchRecord]) -> list[str]:
+def _bench_sections(benches: Sequence[BenchRecord], is_alone: bool = False) -> list[str]:
     by_title: dict[str, list[BenchRecord]] = {title: [] for title in (*_BENCH_SECTIONS.values(), _OTHER_BENCHES)}
     for record in benches:
         by_title[_BENCH_SECTIONS.get(record.bench, _OTHER_BENCHES)].append(record)
-    return [part for title, found in by_title.items() if found for part in (f"## {title}", *map(_bench, found))]
+    shown = {title: [_bench(record, is_alone) for record in found] for title, found in by_title.items() if found}
+    return [part for title, found in shown.items() for part in (f"## {title}", *found)]
 
 
-def _bench(record: BenchRecord) -> str:
+def _bench(record: BenchRecord, is_alone: bool) -> str:
+    is_cut = len(record.rows) > _MOST_ROWS and not is_alone
     taken = f"{machine_name(record.hardware)}; commit {short_commit(record.git_commit)}; {record.time_utc[:10]}."
     parts = [
         f"### {heading(record.title)}",
         "\n".join(f"    {line}" for line in record.command.splitlines()),
         paragraph(record.note, prose),
-        table(record.columns, record.rows[:_MOST_ROWS], prose),
-        f"[All {len(record.rows)} rows]({_bench_csv(record)})" if len(record.rows) > _MOST_ROWS else "",
+        table(record.columns, record.rows[: _MOST_ROWS if is_cut else None], prose),
+        f"[All {len(record.rows)} rows]({_bench_csv(record)})" if is_cut else "",
         paragraph(taken),
-        f"![{heading(record.title)}]({bench_figure(record)})" if record.figure else "",
+        f"![{heading(record.title)}]({bench_figure(record)})" if record.figure and not is_alone else "",
     ]
     return "\n\n".join(part for part in parts if part)
 

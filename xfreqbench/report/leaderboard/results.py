@@ -76,6 +76,9 @@ def read_results(results: Results) -> RankedResults:
     if isinstance(results, RankedResults):
         return results
     paths = [results] if isinstance(results, Path) else results
+    for path in paths:
+        if not path.exists():
+            raise DataError(f"{path} does not exist. Give a results folder, which `xfreqbench run` writes, or a file.")
     folders = tuple(map(ResultsFolder.holding, paths))
     for folder in folders:
         if not (folder.records or folder.stored.benches):

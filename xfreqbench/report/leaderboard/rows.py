@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +12,7 @@ from statistics import mean, stdev
 
 from xfreqbench.methods.contract import LANES, Budget
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
-from xfreqbench.report.leaderboard.origins import machine_name, short_commit
+from xfreqbench.report.leaderboard.origins import machine_name
 from xfreqbench.runs.records import Job, RunRecord
 from xfreqbench.types import FloatArray
 
@@ -21,6 +20,7 @@ Configured = tuple[str, str, str | None, str]  # label, config as JSON, hash of 
 Runs = dict[tuple[str, int], RunRecord]  # by split and seed
 Quantity = Callable[[RunRecord], float]
 NO_LANE = ""
+VERSION_DIGITS = 6
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,16 @@ class BoardRow:
         return [record for records in self.by_split.values() for record in records]
 
     @property
+    def time_utc(self) -> str:
+        """When its first record was made: of two versions of a method, the newer has the later time."""
+        return min(record.time_utc for record in self.records)
+
+    @property
     def budget(self) -> str:
         """The most that a fit may take, such as `≤ 300 s`; empty without a limit and for trivial predictors."""
         return lane_of(self.records[0])
 
-    @property
+    @cached_property
     def timing_machines(self) -> list[str]:
         """The machine of every fit whose budget is a time."""
         timed = [record for record in self.records if lane_of(record) and record.job.budget.max_seconds is not None]
@@ -158,26 +163,38 @@ def _editions(records: Sequence[RunRecord]) -> dict[tuple[str, str], str]:
 def _by_unique_label(by_config: Mapping[Configured, Runs]) -> dict[str, Runs]:
     """The runs of each row, by labels that differ.
 
-    Equal labels get their commit added, then the first digits of the hash of their data, and then a number where they
-    are still equal; external predictions get the first digits of their file's hash in place of a commit.
+    Equal labels get the time and the code of the row's first record, `mine (2026-11-28 10:02, code 3fa9c1)`, external
+    predictions the hash of their file in place of the code. Where only the data differ, they get the hash of these, and
+    a number where they are still equal.
     """
-    first = {key: next(iter(found.values())) for key, found in by_config.items()}
-    versions = {
-        key: record.external.sha256[:7] if record.external else short_commit(record.git_commit)
-        for key, record in first.items()
-    }
-    times = Counter(label for label, *_ in by_config)
-    data_of: dict[tuple[str, str], set[str]] = {}
-    for key, version in versions.items():
-        data_of.setdefault((key[0], version), set()).add(key[3])
+    rows = {key: next(iter(found.values())) for key, found in by_config.items()}
+    versions: dict[str, set[tuple[str, str]]] = {}
+    data_of: dict[tuple[str, ...], set[str]] = {}
+    for key, record in rows.items():
+        versions.setdefault(key[0], set()).add((key[1], version_of(record)))
+        data_of.setdefault((*key[:2], version_of(record)), set()).add(key[3])
     named: dict[str, Runs] = {}
     for key, found in by_config.items():
-        (label, *_, data), version = key, versions[key]
-        name = label if times[label] == 1 else f"{label} @ {version}"
-        name += f", data {data[:7]}" if len(data_of[label, version]) > 1 else ""
+        (label, config, _, data), record = key, rows[key]
+        kind = "file" if record.external else "code"
+        several = (
+            [shown_time(record), f"{kind} {version_of(record)[:VERSION_DIGITS]}"] if len(versions[label]) > 1 else []
+        )
+        differing = [f"data {data[:7]}"] if len(data_of[label, config, version_of(record)]) > 1 else []
+        name = f"{label} ({', '.join(several + differing)})" if several + differing else label
         others = (f"{name} #{number}" for number in count(2))
         named[next(label for label in chain([name], others) if label not in named)] = found
     return named
+
+
+def version_of(record: RunRecord) -> str:
+    """The hash of a method's code, or of its file of external predictions; `?` if unknown."""
+    return (record.external.sha256 if record.external else record.code_sha256) or "?"
+
+
+def shown_time(record: RunRecord) -> str:
+    """When a record was made, in UTC to the minute: `2026-11-28 10:02`."""
+    return record.time_utc[:16].replace("T", " ")
 
 
 def _label(record: RunRecord) -> str:

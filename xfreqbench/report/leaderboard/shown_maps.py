@@ -137,6 +137,12 @@ def _levels_of(png: str, number: int) -> Levels:
 
 def write_maps(path: Path, shown: Sequence[ShownMaps]) -> None:
     """Write maps as lines of JSON; raises `StorageError`, and `OutputExistsError` where another file lies."""
+    require_own_maps(path)
+    write_text(path, "".join(maps.sealed_json().decode() + "\n" for maps in shown))
+
+
+def require_own_maps(path: Path) -> None:
+    """Raise `OutputExistsError` where a file exists that `write_maps` did not write."""
 
     def fault_of(file: Path) -> str | None:
         try:
@@ -146,7 +152,6 @@ def write_maps(path: Path, shown: Sequence[ShownMaps]) -> None:
         return None
 
     require_own(path, fault_of)
-    write_text(path, "".join(maps.sealed_json().decode() + "\n" for maps in shown))
 
 
 def read_maps(path: Path) -> dict[str, ShownMaps]:

@@ -14,9 +14,9 @@ from xfreqbench.report.leaderboard.boards import Board, boards, comparable, requ
 from xfreqbench.report.leaderboard.captions import leak_statement
 from xfreqbench.report.leaderboard.columns import PAIR, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
-from xfreqbench.report.leaderboard.origins import short_commit
+from xfreqbench.report.leaderboard.origins import record_key, short_commit
 from xfreqbench.report.leaderboard.results import read_results
-from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
+from xfreqbench.report.leaderboard.rows import VERSION_DIGITS, BoardRow, median_ssim, shown_time, version_of
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import RunRecord
 
@@ -54,11 +54,12 @@ class RowPair:
 def compare_results(a: Path, b: Path) -> str:
     """Tables, as Markdown, of what two sets of results have in common, and how B differs from A.
 
-    A set is a results folder, a file of records, the records of one method, such as `results/nearest`, or one record
-    by its id or the first digits of it, such as `results/0123456789abcdef`. Rows with the same label (method, options
-    and budget) are paired. Then the rows of a method that has one unpaired row in each set, and at last the only
-    unpaired row of each set. If A has one row, it is the reference of all rows of B. Raises `DataError` where there are
-    no records, or none that may be compared.
+    A set is a results folder, a file of records, the records of one method, such as `results/mine`, those of one
+    version of it, such as `results/mine@3fa9c1`, or one record by its id or the first digits of it, such as
+    `results/0123456789abcdef`. Rows with the same label (method, options and budget) are paired. Then the rows of a
+    method that has one unpaired row in each set, the only unpaired row of each set, and at last every unpaired row of A
+    with the newest row of its method in B. If A has one row, it is the reference of all rows of B. No record is
+    compared with itself. Raises `DataError` where there are no records, or none that may be compared.
     """
     of_a, of_b = (
         {comparable(board.records[0]): board for board in boards(records_at(path), by_budget=False)} for path in (a, b)
@@ -67,8 +68,9 @@ def compare_results(a: Path, b: Path) -> str:
     if not sections:
         content = _content_of(of_a) or "no board", _content_of(of_b) or "no board"
         raise DataError(
-            f"Nothing in {a} and {b} can be compared: {'; and '.join(content)}. Runs in rooms that were never seen are "
-            "compared by `xfreqbench report` alone."
+            f"Nothing in {a} and {b} can be compared: {'; and '.join(content)}. Records are not compared with "
+            "themselves; name two methods, as in results/nearest, or two versions of one, as in results/mine@3fa9c1. "
+            "Runs in rooms that were never seen are compared by `xfreqbench report` alone."
         )
     return "\n\n".join([f"A: {a}, B: {b}", *sections])
 
@@ -122,13 +124,25 @@ def _what_is_different(pair: RowPair) -> str:
 
 
 def records_at(path: Path) -> Sequence[RunRecord]:
-    """The records of a results folder or a file; of `FOLDER/NAME`, those in the folder with this method or id."""
+    """The records of a results folder or a file; of `FOLDER/NAME`, those in the folder with this method or id.
+
+    `FOLDER/METHOD@DIGITS` are those of the version of a method whose code's hash begins so.
+    """
     beside = ResultsFolder(path.parent).records if not path.exists() else ()
     if not beside:
         return read_results(path).records
     of_method = [record for record in beside if record.job.method == path.name]
     if of_method:
         return of_method
+    method, _, digits = path.name.rpartition("@")
+    if of_method := [record for record in beside if record.job.method == method]:
+        of_version = [record for record in of_method if version_of(record).startswith(digits)]
+        if digits and of_version:
+            return of_version
+        newest_first = sorted(of_method, key=lambda record: record.time_utc, reverse=True)
+        versions = {f"{method}@{version_of(record)[:VERSION_DIGITS]}": shown_time(record) for record in newest_first}
+        listed = ", ".join(f"{name} ({time})" for name, time in versions.items())
+        raise DataError(f"{path.parent} has no version {path.name} of the method; newest first, it has {listed}.")
     chosen = {record.id: record for record in beside if record.id.startswith(path.name)}
     if len(chosen) != 1:
         known = sorted(chosen or {record.id for record in beside})
@@ -166,20 +180,31 @@ def _section(a: Board, b: Board) -> str:
 def _paired_rows(a: Board, b: Board) -> Iterator[tuple[BoardRow, BoardRow]]:
     """Rows with the same label; then the only row of a method in A and in B; then the only row of A and of B.
 
-    Rows that are already paired do not count. A lone row of A is a reference, with which every row of B is paired.
+    Rows that are already paired do not count. What is left of A is paired with the newest row of its method in B. A
+    lone row of A is a reference, with which every row of B is paired. No row is paired with its own records.
     """
     if len(a.rows) == 1 < len(b.rows):
-        yield from ((a.rows[0], row) for row in b.rows)
+        yield from ((a.rows[0], row) for row in b.rows if not _share_records(a.rows[0], row))
         return
     names: list[Callable[[BoardRow], str]] = [lambda row: row.label, lambda row: row.job.method, lambda row: ""]
     left_a, left_b = list(a.rows), list(b.rows)
     for name in names:
         for row in tuple(left_a):
             in_a, in_b = ([other for other in left if name(other) == name(row)] for left in (left_a, left_b))
-            if len(in_a) == len(in_b) == 1:
+            if len(in_a) == len(in_b) == 1 and not _share_records(row, in_b[0]):
                 yield row, in_b[0]
                 left_a.remove(row)
                 left_b.remove(in_b[0])
+    for row in left_a:
+        of_method = [other for other in b.rows if other.job.method == row.job.method]
+        newest = max(of_method, key=lambda other: other.time_utc, default=row)
+        if not _share_records(row, newest):
+            yield row, newest
+
+
+def _share_records(row: BoardRow, other: BoardRow) -> bool:
+    known = {record_key(record): record for record in row.records}
+    return any(known.get(record_key(record)) == record for record in other.records)
 
 
 def _ssim_cells(pair: RowPair) -> list[str]:
@@ -213,8 +238,12 @@ def _notes(a: Board, b: Board, pairs: Sequence[RowPair]) -> list[str]:
     ]
     shown = {row.label for pair in pairs for row in (pair.a, pair.b)}
     alone = {
-        side: [row.label for row in board.rows if f"{side} {row.label}" not in shown]
-        for side, board in (("A", a), ("B", b))
+        side: [
+            row.label
+            for row in board.rows
+            if f"{side} {row.label}" not in shown and not any(_share_records(row, each) for each in other.rows)
+        ]
+        for side, board, other in (("A", a, b), ("B", b, a))
     }
     seeds = (
         f"Of fewer than {MIN_SEEDS} seeds: {', '.join(few)}. Another seed may change the difference by more than the "

@@ -12,7 +12,7 @@ from typing import Any
 from xfreqbench.report.drawing.markdown import paragraph, table
 from xfreqbench.report.leaderboard.boards import Board, short_name
 from xfreqbench.report.leaderboard.captions import notes
-from xfreqbench.report.leaderboard.columns import RANKING, TABLE, LeaderboardColumn, leaderboard_columns
+from xfreqbench.report.leaderboard.columns import OTHER_SCORES, RANKING, TABLE, LeaderboardColumn, leaderboard_columns
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.learning_curves import learning_curves
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
@@ -41,6 +41,14 @@ def ranking_table(comparison: Comparison, columns: Sequence[str] = RANKING) -> s
     rows = [[column.cell(row) for column in shown] for row in comparison.rows]
     below = map(paragraph, notes(comparison))
     return "\n\n".join([caption, table([column.title for column in shown], rows), *below])
+
+
+def other_scores_table(comparison: Comparison) -> str:
+    """The scores of the rows of a comparison that `ranking_table` does not have, in the same order."""
+    shown = leaderboard_columns(comparison, OTHER_SCORES)
+    rows = [[column.text(row) for column in shown] for row in comparison.rows]
+    caption = "Mean and 10th percentile of SSIM, and medians of the other metrics:"
+    return f"{caption}\n\n{table([column.title for column in shown], rows)}"
 
 
 def csv_tables(boards: Sequence[Board]) -> dict[str, list[CsvRow]]:

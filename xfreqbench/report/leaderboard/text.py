@@ -16,7 +16,7 @@ from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.report import leaderboard_summary
 from xfreqbench.report.leaderboard.results import read_results, results_at
-from xfreqbench.report.leaderboard.tables import table_rows, write_csv
+from xfreqbench.report.leaderboard.tables import require_own_csv, table_rows, write_csv
 from xfreqbench.report.leaderboard.unseen_rooms import is_of_rooms
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.arguments import FilePath, checked
@@ -75,11 +75,22 @@ def leaderboard(results: FilePath | Sequence[InstanceOf[RunRecord]] | Sequence[F
     return Leaderboard(found)
 
 
+def require_own_tables(output_csv: Path) -> None:
+    """Raise `OutputExistsError` where one of the files of `write_tables` exists and was not written by it."""
+    require_own_csv(output_csv)
+    if find_spec("pyarrow") is not None:
+        require_own(
+            output_csv.with_suffix(".parquet"),
+            lambda path: None if _PARQUET_MARK.encode() in path.read_bytes() else "is no table of ours",
+        )
+
+
 def write_tables(comparisons: Iterable[Comparison], output_csv: Path) -> None:
     """Write the table of `to_pandas` as CSV and, where pyarrow is installed, beside it as Parquet.
 
     Splits are joined by blanks. Raises `OutputExistsError` where either is another file, and `StorageError`.
     """
+    require_own_tables(output_csv)
     rows = table_rows(comparisons)
     names = write_csv(rows, output_csv)
     if find_spec("pyarrow") is None:
@@ -88,7 +99,6 @@ def write_tables(comparisons: Iterable[Comparison], output_csv: Path) -> None:
     import pyarrow.parquet
 
     output = output_csv.with_suffix(".parquet")
-    require_own(output, lambda path: None if _PARQUET_MARK.encode() in path.read_bytes() else "is no table of ours")
     table = pyarrow.Table.from_pylist(
         [dict.fromkeys(names) | row | {"splits": " ".join(row["splits"])} for row in rows]
     )
