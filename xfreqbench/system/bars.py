@@ -66,6 +66,8 @@ class Bars:
     def close(self) -> None:
         """Show nothing more."""
         self._ended.set()
+        if self._thread.ident is not None:
+            self._thread.join()
         if self._progress.live.is_started:
             self._progress.stop()
 
