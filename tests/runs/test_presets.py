@@ -82,6 +82,18 @@ def test_an_unknown_preset_names_those_there_are(tmp_path: Path) -> None:
         plan_benchmark("standart", tmp_path, tmp_path)
 
 
+def test_the_cost_of_a_benchmark_is_told_without_tracing_or_importing_a_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*arguments: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr("xfreqbench.data.trace.tracer_of", refused)
+    monkeypatch.setattr(benchmarks, "build_method", refused)
+    for name in ("quick", "rooms"):
+        assert "traced in about" in cost(plan_benchmark(name, tmp_path, tmp_path), 2)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("benchmark")

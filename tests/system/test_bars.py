@@ -6,8 +6,7 @@ import pytest
 
 from tests.support.clock import set_clock
 from xfreqbench.system import bars as module
-from xfreqbench.system.bars import announce_compilation, announcing, open_bars, progress_bars
-from xfreqbench.system.caches import ANNOUNCES
+from xfreqbench.system.bars import ANNOUNCES, announce_compilation, announcing, open_bars, progress_bars
 
 
 @pytest.fixture

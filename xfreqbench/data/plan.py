@@ -57,8 +57,14 @@ class Plan:
 
     tracing: Tracing
     tx_position_m: Float[FloatArray, "T 3"]
-    line_of_sight: Bool[NDArray[np.bool_], "T *R"]
     header: DatasetHeader
+
+    @cached_property
+    def line_of_sight(self) -> Bool[NDArray[np.bool_], "T *R"]:
+        """Whether each transmitter is in sight of the receiver, or of each of several."""
+        meshes, receivers = self.geometry.meshes, self.scene.receivers
+        in_sight = [sees(meshes, self.tx_position_m, np.asarray(receiver.position_m)) for receiver in receivers]
+        return np.stack(in_sight, axis=1) if self.header.receivers else in_sight[0]
 
     @property
     def scene(self) -> Scene:
@@ -234,9 +240,7 @@ def plan_generation(
     several = pairs if len(pairs) > 1 else ()
     tracing = Tracing(absolute, sha256, tuple(carriers), settings, paths, several, geometry)
     header = _header(tracing, placed, pas_kind, maps, extrapolated)
-    in_sight = [sees(geometry.meshes, placed.tx_position_m, np.asarray(rx.position_m)) for rx in scene.receivers]
-    line_of_sight = np.stack(in_sight, axis=1) if header.receivers else in_sight[0]
-    return Plan(tracing, placed.tx_position_m, line_of_sight, header)
+    return Plan(tracing, placed.tx_position_m, header)
 
 
 def _with_receivers(scene: Scene, names: Sequence[str] | None) -> Scene:

@@ -16,14 +16,14 @@ from typing import Literal
 
 from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.generate import estimate_seconds, generate_planned
+from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.data.rooms import MAX_DEPTH, RAYS, RoomsPlan, generate_planned_rooms, plan_of_rooms
 from xfreqbench.data.splits import LOFO_TARGETS_GHZ, SPARSE_TRAINING_GHZ
 from xfreqbench.data.unseen_rooms import NUMS_HEARD, ROOM_PROTOCOLS
 from xfreqbench.errors import RunsFailedError, UnknownNameError
-from xfreqbench.methods.contract import RoomMethod, parse_budget
-from xfreqbench.methods.registry import build_method, device_option
+from xfreqbench.methods.contract import parse_budget
+from xfreqbench.methods.registry import build_method, device_option, room_method_names
 from xfreqbench.runs.estimate import in_hours
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task, protocol_tasks
@@ -72,6 +72,12 @@ _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside 
     "xfreq-gs-paper": 0.018,
 }
 _USUAL_SECONDS_A_MAP = 1.9e-4
+_TRACED_S = {  # on two idle cores, to shoot the rays of a scene and to trace a transmitter at ten carriers
+    "corridor": (1.0, 0.015),
+    "lounge": (7.0, 0.06),
+    "office_cluttered": (4.0, 0.16),
+}
+_USUAL_TRACED_S = (2.0, 0.03)
 _ROOM_S, _SCORED_S, _TESTED_ROOMS = 1.2, 0.5, 107  # to trace a room; to score one; tested rooms of a thousand
 _MAPS_A_STEP = 128  # of xfreq-gs, which alone has budgets in steps in the presets
 
@@ -173,13 +179,11 @@ class Benchmark:
 def plan_benchmark(
     name: str, data_dir: Path, results_dir: Path, device: str = "cpu", predictions: Literal["all", "shown"] = "all"
 ) -> Benchmark:
-    """The benchmark of the preset with a name; raises `UnknownNameError`, and whatever building its methods raises."""
+    """The benchmark of the preset with a name; no method is imported. Raises `UnknownNameError`."""
     if name not in PRESETS:
         raise UnknownNameError("preset", name, PRESETS)
     preset = PRESETS[name]
     require_text(data_dir)
-    for setting in dict.fromkeys(setting for block in preset.blocks for setting in block.settings):
-        build_method(setting.method, setting.overrides)
     return Benchmark(name, preset, data_dir, results_dir, device, predictions)
 
 
@@ -237,7 +241,7 @@ def _run_seconds(block: Block, setting: Setting) -> float:
     a_map = _SECONDS_A_MAP.get(setting.method, _USUAL_SECONDS_A_MAP)
     if block.protocol in ROOM_PROTOCOLS:  # one fit for all splits, or a fit in every room
         fit_s = budget.max_seconds or (budget.max_maps or 0) * a_map
-        is_across = isinstance(build_method(setting.method, setting.overrides), RoomMethod)
+        is_across = setting.method in room_method_names()
         return fit_s * (1 / len(_splits(block)) if is_across else _TESTED_ROOMS) + _TESTED_ROOMS * _SCORED_S
     overhead = _BESIDE_FIT_S if block.budget else _TRIVIAL_S
     maps = budget.max_maps or (budget.max_steps or 0) * _MAPS_A_STEP
@@ -249,9 +253,11 @@ def generate_data(
 ) -> None:
     """Generate the data sets that do not exist yet; a generation that was killed goes on.
 
-    `progress` has the callback of a scene by its name. Raises `OutputExistsError` if a file holds something else, and
-    any other `XFreqBenchError`.
+    `progress` has the callback of a scene by its name. Raises `OutputExistsError` if a file holds something else, any
+    other `XFreqBenchError`, and before all whatever building the methods raises.
     """
+    for setting in dict.fromkeys(setting for block in benchmark.preset.blocks for setting in block.settings):
+        build_method(setting.method, setting.overrides)
     for scene, plan in benchmark.plans.items():
         callback = progress.get(scene, ignore_progress)
         generate_planned(plan, benchmark.data_path(scene), callback, workers=workers)
@@ -340,4 +346,6 @@ def _data_line(benchmark: Benchmark, scene: str) -> str:
     path, plan = benchmark.data_path(scene), benchmark.plans[scene]
     if path.exists():
         return f"{path} is there already and is used"
-    return f"{path}: {plan.header.num_bytes / 1e6:.0f} MB, traced in about {estimate_seconds(plan):.0f} s"
+    shot_s, transmitter_s = _TRACED_S.get(scene, _USUAL_TRACED_S)
+    seconds = shot_s + transmitter_s * len(plan.tx_position_m)
+    return f"{path}: {plan.header.num_bytes / 1e6:.0f} MB, traced in about {seconds:.0f} s"

@@ -1,6 +1,7 @@
 """What is shown on stderr while something takes time: bars on a terminal, a line every ten seconds elsewhere.
 
-Nothing appears before the first report, so that no bar precedes an error about arguments.
+Nothing appears before the first report, so that no bar precedes an error about arguments. NumPy is not imported here:
+workers import this before they are kept to their cores, which NumPy counts.
 """
 
 from __future__ import annotations
@@ -14,11 +15,9 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any, Literal
 
-from xfreqbench.system.caches import ANNOUNCES
-from xfreqbench.types import ProgressCallback, ignore_progress
-
 Shown = bool | Literal["auto"]  # auto: where a person looks, on a terminal or in a notebook
 _EVERY_S = 10.0  # between two lines
+ANNOUNCES = "XFREQBENCH_ANNOUNCES"  # a variable, so that workers have it: 1 to announce compilation, 0 for silence
 
 
 class Bars:
@@ -67,6 +66,8 @@ class Bars:
     def close(self) -> None:
         """Show nothing more."""
         self._ended.set()
+        if self._thread.ident is not None:
+            self._thread.join()
         if self._progress.live.is_started:
             self._progress.stop()
 
@@ -96,10 +97,10 @@ def open_bars(stages: Sequence[str]) -> Iterator[Bars]:
 
 
 @contextmanager
-def progress_bars(unit: str, stages: Sequence[str], quiet: bool) -> Iterator[list[ProgressCallback]]:
+def progress_bars(unit: str, stages: Sequence[str], quiet: bool) -> Iterator[list[Callable[[int, int], None]]]:
     """A callback(done, total) for each stage, which shows it, with the rate on a bar; with `quiet` nothing is shown."""
     if quiet:
-        yield [ignore_progress] * len(stages)
+        yield [lambda done, total: None] * len(stages)
         return
     with open_bars(stages) as bars:
 

@@ -6,7 +6,6 @@ import os
 import sys
 from pathlib import Path
 
-ANNOUNCES = "XFREQBENCH_ANNOUNCES"  # a variable, so that workers have it: 1 to announce compilation, 0 for silence
 _PACKAGE = Path(__file__).parents[1]
 _VARIABLES = {"NUMBA_CACHE_DIR": "numba", "MPLCONFIGDIR": "matplotlib"}
 

@@ -22,7 +22,7 @@ from types import TracebackType
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from xfreqbench.errors import ClusterError, XFreqBenchError
-from xfreqbench.system.caches import ANNOUNCES  # bars import NumPy, which counts the cores of its process
+from xfreqbench.system.bars import ANNOUNCES
 from xfreqbench.system.cluster import SCHEME, dask_workers, lost_workers
 from xfreqbench.system.machine import safe_path
 
