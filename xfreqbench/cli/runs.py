@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -23,9 +23,6 @@ from xfreqbench.cli.options import (
     say,
 )
 from xfreqbench.errors import XFreqBenchError
-
-if TYPE_CHECKING:
-    pass
 
 Overrides = Annotated[
     tuple[str, ...],
