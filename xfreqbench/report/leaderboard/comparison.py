@@ -13,6 +13,7 @@ from math import isqrt, nan
 import numpy as np
 from jaxtyping import Float, Integer
 from scipy.special import ndtri, stdtrit
+from threadpoolctl import threadpool_limits
 
 from xfreqbench.maps.metrics import NUM_RESAMPLES, quantiles
 from xfreqbench.report.leaderboard.boards import Board
@@ -33,7 +34,9 @@ def medians_of(row: BoardRow, splits: Sequence[str], number: int = NUM_RESAMPLES
     Each is computed once for a row, and kept there.
     """
     missing = [split for split in splits if (split, number) not in row.drawn]
-    every = resampled_medians([record.ssim_by_tx for split in missing for record in row.by_split[split]], number)
+    if missing:
+        with threadpool_limits(1, "blas"):  # on a busy machine several threads wait for each other most of the time
+            every = resampled_medians([each.ssim_by_tx for split in missing for each in row.by_split[split]], number)
     for split in missing:
         medians, every = np.split(every, [len(row.by_split[split])])  # (S, R), and those of the other splits
         seed = int(hashlib.sha256(f"{row.label} {split}".encode()).hexdigest(), 16)
