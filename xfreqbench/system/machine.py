@@ -85,6 +85,12 @@ def _numeric_libraries() -> ThreadpoolController:
     return ThreadpoolController()
 
 
+def one_thread() -> AbstractContextManager[Any]:
+    """A block in which matrix products take one thread: on a busy machine several wait for each other."""
+    limit: AbstractContextManager[Any] = _numeric_libraries().limit(limits=1, user_api="blas")
+    return limit
+
+
 def reset_peak_memory() -> None:
     """Start a new measurement of peak memory, on Linux; elsewhere the peak stays that since the process began."""
     try:
