@@ -270,10 +270,12 @@ def _spec(module: str, search_path: tuple[str, ...]) -> ModuleSpec | None:
     parent, _, name = module.rpartition(".")
     folders = None
     if parent:
-        found = _spec(parent, search_path)
-        if found is None or found.submodule_search_locations is None:
+        above = _spec(parent, search_path)  # once it is imported, it may have added to its folders
+        own = above.submodule_search_locations if above else None
+        found = getattr(sys.modules.get(parent), "__path__", own)
+        if found is None:
             return None
-        folders = list(found.submodule_search_locations)
+        folders = list(found)
     for finder in sys.meta_path:
         try:
             spec = finder.find_spec(module, folders) if hasattr(finder, "find_spec") else None

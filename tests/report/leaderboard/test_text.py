@@ -26,7 +26,7 @@ def test_it_reads_a_folder_and_prints_as_the_command_does(tmp_path: Path) -> Non
     shown = xb.leaderboard(store(tmp_path, *make_records()))
     assert repr(shown) == str(shown) == shown._repr_markdown_() == leaderboard_summary(make_records())
     assert repr(xb.leaderboard(tmp_path / "records.jsonl")) == repr(shown)
-    with pytest.raises(DataError, match="no records"):
+    with pytest.raises(DataError, match="does not exist"):
         xb.leaderboard(tmp_path / "nowhere")
 
 
