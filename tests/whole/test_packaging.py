@@ -161,7 +161,8 @@ def test_predictions_are_scored_without_pytorch_and_without_a_ray_tracer(tmp_pat
         "split --data data.h5 -o split.h5",
         "score maps.h5 --data data.h5 --results results",
         "report results -o board.md --html page.html",
-        "compare results results",
+        "score maps.h5 --data data.h5 --results others --method theirs",
+        "compare results others",
     ]
     subprocess.run([python, "-c", SPLIT_SCORE_REPORT], input="\n".join(commands), text=True, check=True, cwd=tmp_path)
     assert "mine (external)" in (tmp_path / "board.md").read_text("utf-8")
