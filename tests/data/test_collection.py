@@ -45,7 +45,11 @@ def test_a_collection_is_a_sequence_of_data_sets(collection: Collection) -> None
     assert [len(data) for data in collection] == [12, 6, 9]
     assert isinstance(collection[-1], PasDataset)
     assert collection[-1].path == collection.path / "000/000002.h5"
-    assert collection[0] is collection[[0, 2]][0]  # opened once
+    assert collection[0].tables is collection[[0, 2]][0].tables  # opened once
+    with pytest.raises(ValueError, match="read-only"):
+        collection[0].tables["tx_position_m"][0] = 0
+    collection[0].header.carrier_hz[0] = 0
+    assert collection[0].header.carrier_hz[0] == 1e9
     assert [room.seed for room in collection[[True, False, True]].rooms] == [0, 2]
     assert pickle.loads(pickle.dumps(collection[1:])).rooms == collection.rooms[1:]
     assert "3: 1 hall, 2 office" in repr(collection)

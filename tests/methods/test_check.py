@@ -135,6 +135,17 @@ BROKEN = {  # by the requirement that is not met, and words of the fault
         "maps = maps + maps[:1]\nreturn maps / maps.max(axis=(1, 2), keepdims=True)"
     ),
     ("asked for alone", r"shape \(90, 360\)"): predicting("return maps.squeeze()"),
+    ("uses nothing of an earlier one", "not in a module or a class"): "SEEN = {}\n"
+    + fitting("""
+        for map, place, carrier in zip(train.pas(), train.tx_position_m, train.carrier_hz):
+            SEEN[*place, carrier] = map
+        yield from fit(train, budget, seed)""")
+    + """
+    def predict(self, tx_position_m, carrier_hz):
+        maps = super().predict(tx_position_m, carrier_hz)
+        asked = zip(tx_position_m, carrier_hz, maps)
+        return np.stack([SEEN.get((*place, carrier), map) for place, carrier, map in asked])
+""",
     ("saved and loaded", "Save everything that predict uses"): method("""
             def save(self, directory):
                 super().save(directory)
@@ -177,7 +188,7 @@ def own_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[...,
 @pytest.mark.parametrize("name", EVERY_TRIVIAL)
 def test_every_trivial_predictor_keeps_the_contract(name: str) -> None:
     findings = check_method(name)
-    assert len(findings) == 20
+    assert len(findings) == 22
     assert [str(finding) for finding in findings if finding.fault] == []
 
 
@@ -200,7 +211,7 @@ def test_a_fault_hides_only_what_cannot_be_tried_after_it(own_method) -> None:
     refuses = "        raise NotImplementedError\n"
     wrong_maps = predicting("return maps * 30") + f"    def save(self, directory):\n{refuses}"
     found = check_method(own_method(wrong_maps))
-    assert len(found) == 20
+    assert len(found) == 22
     faults = [finding.requirement.partition(",")[0].partition(" maps")[0] for finding in found if finding.is_fault]
     assert faults == [
         "predict is valid at fit's first yield",
@@ -212,12 +223,12 @@ def test_a_fault_hides_only_what_cannot_be_tried_after_it(own_method) -> None:
     assert all(
         line.startswith("skip ") and "not tried, because of the fault in 'predict ret" in line for line in untried
     )
-    assert len(untried) == 8
+    assert len(untried) == 9
 
     on_gpu = f"@dataclass(frozen=True)\nclass Own(Config):\n    device: str = 'cuda'\n{CONFIGURED}"
     broken_fit = f"{on_gpu}    def fit(self, train, budget, seed):\n{refuses}"
     found = check_method(own_method(broken_fit))
-    assert len(found) == 20
+    assert len(found) == 22
     faults = [finding.requirement.partition(",")[0] for finding in found if finding.is_fault]
     assert faults == ["fit is a generator that yields Progress", "it computes on the device that it is told"]
 
@@ -228,8 +239,19 @@ def test_a_method_that_ignores_its_seed_is_warned_and_not_refused(own_method) ->
     assert finding.is_warning
     assert str(finding).startswith("warn ")
     assert "same seed" in finding.requirement
-    assert ["not checked, because" in str(result.fault) for result in not_checked] == [True] * 3
+    assert ["not checked, because" in str(result.fault) for result in not_checked] == [True] * 4
     assert not any(result.is_fault for result in not_checked)
+
+
+def test_a_fit_that_changes_its_training_data_is_warned_and_changes_nothing_else(own_method) -> None:
+    text = fitting("""
+        train.tables["tx_position_m"][:] -= 1
+        train.header.carrier_hz[:] = train.header.carrier_hz[0]
+        train.grid.azimuth_rad[:] = 0
+        yield from fit(train, budget, seed)""")
+    (finding,) = [finding for finding in check_method(own_method(text)) if finding.fault]
+    assert finding.is_warning
+    assert "it changed tx_position_m, header.carrier_hz, grid.azimuth_rad" in finding.fault
 
 
 def test_options_reach_the_method(own_method) -> None:
@@ -253,6 +275,10 @@ def test_the_command_prints_every_rule_and_ends_with_code_2_where_one_is_broken(
     assert broken.returncode == 2
     assert "FAULT  every map has peak 1" in broken.stdout
     assert "breaks its contract in 1" in broken.stderr
+    (tmp_path / "ends.py").write_text(SOUND + fitting("yield from fit(train, budget, seed)\n__import__('os')._exit(0)"))
+    ended = subprocess.run([*command, "ends:Method"], capture_output=True, text=True, cwd=tmp_path)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert "ended itself with exit status 0" in ended.stderr
     sound = subprocess.run([*command, "mine:Sound"], capture_output=True, text=True, cwd=tmp_path)
     assert sound.returncode == 0
-    assert sound.stdout.count("ok  ") == 20
+    assert sound.stdout.count("ok  ") == 22

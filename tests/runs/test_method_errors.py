@@ -12,7 +12,7 @@ import pytest
 from xfreqbench.baselines.nearest import Nearest
 
 from tests.support.fuzzing.common import xfreqbench
-from tests.support.stub_methods import lofo_job, run_job
+from tests.support.stub_methods import lofo_job, run_job, run_jobs
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import find_split
 from xfreqbench.errors import DataError, MethodError
@@ -69,6 +69,7 @@ class Faint(Nearest):
         return maps
 
 
+MEASURED = ("fit_seconds", "fit_processor_seconds", "predict_ms_per_map", "peak_memory_mib")
 PARTS = ("fit", "predict", "save", "findings")
 ERRORS = (GeneratorExit(), UnheardError(), RuntimeError("half a pair: \udcff"))
 
@@ -146,6 +147,50 @@ def test_a_fit_that_forks_is_recorded_once(dataset: PasDataset, tmp_path: Path) 
     # each once before the clock starts, and once in the fit
     assert done.stderr.count("it forked the process; the child ends here") == 4
     assert len(records.read(tmp_path / "results" / "records.jsonl").records) == 2
+
+
+ENDING = """
+import os
+from xfreqbench.baselines.nearest import Nearest
+
+class Ending(Nearest):
+    def fit(self, train, budget, seed):
+        yield from super().fit(train, budget, seed)
+        os._exit(0)
+"""
+
+
+def test_a_fit_that_ends_its_process_stops_no_other(dataset: PasDataset, tmp_path: Path) -> None:
+    (tmp_path / "ending.py").write_text(ENDING)
+    options = f"--data {dataset.path} --results results --targets 77 --methods ending:Ending,nearest"
+    command = [sys.executable, "-m", "xfreqbench.cli", "run", *options.split()]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert "1 of 2 runs failed" in done.stderr
+    assert "ending:Ending on lofo-77GHz" in done.stderr
+    assert "ended itself with exit status 0" in done.stderr
+    (record,) = records.read(tmp_path / "results" / "records.jsonl").records
+    assert record.job.method == "nearest"
+    assert not list(tmp_path.glob("results/predictions/*.lock"))
+
+
+class Centring(Nearest):
+    """Changes the training data that it is given."""
+
+    def fit(self, train, budget, seed):
+        for values in (train.tables["tx_position_m"], train.tx_position_m, train.header.carrier_hz, train.rows):
+            values[:] = values[0]
+        train.grid.azimuth_rad[:] = 0
+        train.header.settings.clear()
+        yield from super().fit(train, budget, seed)
+
+
+def test_what_a_fit_does_to_its_training_data_changes_no_other_run(dataset: PasDataset, tmp_path: Path) -> None:
+    jobs = [lofo_job(dataset, name) for name in (f"{__name__}:Centring", "line-of-sight")]
+    _, after = run_jobs(jobs, tmp_path / "after")
+    assert after == run_job(jobs[1], tmp_path / "alone").model_copy(
+        update={name: getattr(after, name) for name in ("time_utc", *MEASURED)}
+    )
 
 
 def test_a_method_that_exits_does_not_look_like_success(

@@ -8,6 +8,7 @@ import sys
 import time
 from concurrent.futures import Future
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
 
@@ -20,6 +21,7 @@ from xfreqbench.system.workers import (
     all_cores,
     open_workers,
     own_cores,
+    send_message,
     side_by_side,
     split_cores,
 )
@@ -91,15 +93,30 @@ def _fails_on_two(argument: int) -> int:
 
 def _dies_on_two(argument: int) -> int:
     if argument == 2:
-        os._exit(1)
+        os.kill(os.getpid(), signal.SIGKILL)
     return os.getpid()
 
 
 def _dies_once(mark: str) -> str:
     if not Path(mark).exists():
         Path(mark).touch()
-        os._exit(1)
+        os.kill(os.getpid(), signal.SIGKILL)
     return "done"
+
+
+def _ends_as_if_all_were_well(argument: int) -> None:
+    send_message(argument, "said")
+    os._exit(0)
+
+
+def test_a_process_that_ends_itself_is_an_error_and_what_it_said_is_heard() -> None:
+    heard = SimpleQueue[tuple[int, str]]()
+    with LocalProcesses(all_cores(), on_message=lambda *said: heard.put(said)) as workers:
+        ((_, future),) = side_by_side(workers, _ends_as_if_all_were_well, [7])
+    with pytest.raises(ClusterError, match="ended itself with exit status 0"):
+        future.result()
+    assert heard.get() == (7, "said")
+    assert heard.empty()  # it was not called again
 
 
 def test_every_call_has_a_core_to_itself() -> None:

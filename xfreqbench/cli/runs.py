@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,7 +13,6 @@ from xfreqbench.cli.options import (
     RUN,
     SEEDS,
     TARGETS,
-    Executor,
     Quiet,
     ScoredOnOption,
     app,
@@ -65,8 +65,10 @@ def check_method(method: str, *, set_: Overrides = ()) -> None:
     """
     from xfreqbench.errors import MethodError
     from xfreqbench.methods.check import check_method as results_of
+    from xfreqbench.system.workers import LocalProcesses, all_cores
 
-    results = results_of(method, set_)
+    with LocalProcesses(all_cores(), is_fresh=True) as own:  # which the method may end
+        results = own.submit(partial(results_of, method), set_).result()
     for result in results:
         print(result)
     num_faults = sum(result.is_fault for result in results)
@@ -158,7 +160,13 @@ def run(
         str | None, Parameter(help="Pair of polarizations, of data with several, as in VH; the first if absent.")
     ] = None,
     set_: Overrides = (),
-    executor: Executor = "serial",
+    executor: Annotated[
+        str | None,
+        Parameter(
+            help="serial: in this process; 4: as many processes here, a new one for each run; dask://host:8786: "
+            "workers of a cluster; serial if absent, and 1 where a method is not of this package."
+        ),
+    ] = None,
     dry_run: Annotated[
         bool, Parameter(negative="", help="Print how many runs there are and their time; run none.")
     ] = False,
@@ -170,13 +178,14 @@ def run(
     """
     from xfreqbench.data.unseen_rooms import ROOM_PROTOCOLS
     from xfreqbench.runs.estimate import estimate_runs
-    from xfreqbench.runs.run import asked_tasks, run_shown
-    from xfreqbench.system.workers import require_executor
+    from xfreqbench.runs.run import asked_tasks, run_shown, usual_executor
+    from xfreqbench.system.workers import SERIAL, require_executor
 
-    require_executor(executor)
+    require_executor(executor or SERIAL)
     methods: dict[str | type, tuple[str, ...]] = dict.fromkeys(map(str.strip, method.split(",")), set_)
     targets_ghz, link = parse_targets_ghz(targets), (receiver, polarization)
     tasks = asked_tasks(data, methods, protocol, targets_ghz, on, _seeds(seed), budget, device, *link)
+    executor = executor or usual_executor(tasks)
     if dry_run:
         print(f"{protocol} on {data.name}: {estimate_runs(tasks, results, executor)}; nothing was run")
         return

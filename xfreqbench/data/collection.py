@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import accumulate
@@ -223,7 +224,9 @@ class Collection:
                 yield room, str(error)
 
     def _opened(self, room: Room) -> PasDataset:
-        return _opened(self.path / room.file, room.sha256)
+        shared = _opened(self.path / room.file, room.sha256)
+        own = {name: deepcopy(getattr(shared, name)) for name in ("header", "file_header", "beam")}
+        return replace(shared, **own)
 
 
 @checked
@@ -284,6 +287,8 @@ def _opened(path: Path, sha256: str) -> PasDataset:
     dataset = open_dataset(path)
     if dataset.file_sha256 != sha256:
         raise DataError(f"{path} is another data set than that of its collection. Run the same generation again.")
+    for shared in (dataset.rows, *dataset.tables.values()):
+        shared.setflags(write=False)
     return dataset
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
@@ -476,15 +477,15 @@ class PasDataset:
     def isolated(self) -> PasDataset:
         """The same samples, with the channels of all others set to zero: what a method is given to train on.
 
-        The paths are left out, for they tell of the carriers that are tested.
+        It is a copy, so that whatever a method writes there changes nothing elsewhere. The paths are left out, for they
+        tell of the carriers that are tested.
         """
-        tables = {name: table for name, table in self.tables.items() if name != OFFSET}
-        for name in self.tables.keys() & {"cfr", "peak_power", "num_paths"}:
+        tables = {name: table.copy() for name, table in self.tables.items() if name != OFFSET}
+        for name in tables.keys() & {"cfr", "peak_power", "num_paths"}:
             samples = tables[name].reshape(-1, *tables[name].shape[2:])
-            kept = np.zeros_like(samples)
-            kept[self.rows] = samples[self.rows]
-            tables[name] = kept.reshape(tables[name].shape)
-        return replace(self, tables=tables, is_isolated=True)
+            samples[np.setdiff1d(np.arange(len(samples)), self.rows)] = 0
+        names = ("header", "file_header", "beam", "rows")
+        return replace(self, tables=tables, is_isolated=True, **{name: deepcopy(getattr(self, name)) for name in names})
 
     def _samples(self, name: str) -> NDArray[Any]:
         table = self.tables[name]

@@ -106,7 +106,9 @@ def _conjugate_steering(
     position_wavelengths = np.frombuffer(element_position_wavelengths).reshape(-1, 3)
     directions = AngularGrid(np.frombuffer(elevation_rad), np.frombuffer(azimuth_rad)).directions.reshape(-1, 3)
     one_metre_wave = steering_vector(position_wavelengths, directions, SPEED_OF_LIGHT_M_S)
-    return np.ascontiguousarray(one_metre_wave.conj().T / len(position_wavelengths)).astype(np.complex64)
+    steering = np.ascontiguousarray(one_metre_wave.conj().T / len(position_wavelengths)).astype(np.complex64)
+    steering.setflags(write=False)
+    return steering
 
 
 def power_of(maps: Float[NDArray[np.float32], "N E A"], kind: PasKind) -> Float[NDArray[np.float32], "N E A"]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import chdir, suppress
+from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
@@ -361,6 +362,30 @@ def _leak_fault(trial: _Trial) -> str | None:
     )
 
 
+def _memory_fault(trial: _Trial) -> str | None:
+    """Fit to all samples, as for another split, then to the training rows as before, and compare the outcome."""
+    with chdir(trial.working_folder):
+        fit_within(trial.new(), trial.dataset.isolated(), _BUDGET, _SEED)
+    return trial.difference_fault(
+        trial.fit(trial.dataset), _SEED_TOLERANCE, "Keep what is learned in the instance, not in a module or a class."
+    )
+
+
+def _changed_data_fault(trial: _Trial) -> str | None:
+    train = _training_rows(trial.dataset)
+    given = deepcopy(arrays := _arrays_of(train))
+    with chdir(trial.working_folder):
+        fit_within(trial.new(), train, _BUDGET, _SEED)
+    changed = [name for name, values in arrays.items() if not np.array_equal(values, given[name])]
+    return f"it changed {', '.join(changed)}. Change copies of them." if changed else None
+
+
+def _arrays_of(data: PasDataset) -> dict[str, NDArray[Any]]:
+    grid = {"grid.elevation_rad": data.grid.elevation_rad, "grid.azimuth_rad": data.grid.azimuth_rad}
+    shown = {"rows": data.rows, "tx_position_m": data.tx_position_m, "carrier_hz": data.carrier_hz}
+    return {**shown, "header.carrier_hz": data.header.carrier_hz, **grid, **data.tables}
+
+
 def _stray_file_fault(trial: _Trial) -> str | None:
     strays = sorted(path.name for path in trial.working_folder.iterdir())
     if strays:
@@ -412,6 +437,8 @@ _STAGES = (
         _Check("predict and save do not change how training goes on", _peeking_fault, compares_fits=True),
         _Check("a fit that ends early can as well be closed at its last yield", _end_fault, compares_fits=True),
         _Check("only training rows are used", _leak_fault, compares_fits=True),
+        _Check("a fit uses nothing of an earlier one", _memory_fault, compares_fits=True),
+        _Check("fit leaves the training data as they are", _changed_data_fault, is_warning=True, needs=1),
         _Check("nothing is written into the working folder", _stray_file_fault, needs=1),
     ),
 )

@@ -16,6 +16,7 @@ from pydantic_core import from_json
 
 from xfreqbench.errors import MethodError, XFreqBenchError, was_interrupted
 
+_MOST_SHOWN = 2000  # characters of a message
 _IMPORTING = Path(importlib.__file__).parent
 
 
@@ -48,7 +49,7 @@ def method_code(
 def described(error: BaseException) -> str:
     """Type and message of an exception and, where it is known, the place in the method's code: one line of text."""
     try:
-        text = str(error)
+        text = str(error)[:_MOST_SHOWN]
     except Exception:  # a message may be a method's own code as well
         text = "its message cannot be shown"
     frames = traceback.extract_tb(error.__traceback__)

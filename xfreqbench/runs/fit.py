@@ -128,5 +128,5 @@ class TaskFit:
 
 
 def _few(train: PasDataset) -> PasDataset:
-    """The samples of the first transmitters of a training part."""
-    return train.subset(np.isin(train.tx_index, np.unique(train.tx_index)[:_WARM_UP_TX]))
+    """A copy of the samples of the first transmitters of a training part."""
+    return train.subset(np.isin(train.tx_index, np.unique(train.tx_index)[:_WARM_UP_TX])).isolated()

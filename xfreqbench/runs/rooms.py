@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -189,7 +190,7 @@ def _fit(
         if fitting:
             fitting(task.job, now)
 
-    train: Any = task.split.collection.part("train")
+    train: Any = deepcopy(task.split.collection.part("train"))
     with task.method_errors("fit"):
         fit = fit_within(
             method, train, task.job.budget, task.job.seed, spent=earlier.fit if earlier else None, observe=observe
@@ -216,7 +217,7 @@ def _answer(task: RoomTask, method: RoomMethod, question: RoomQuestion, kept: Pa
     with _errors(task, question, "adapt"), adapting:
         predictor = method.adapt(question.heard, task.job.budget)
     with _errors(task, question, "predict"), predicting:
-        maps = predictor.predict(asked.tx_position_m, asked.carrier_hz)
+        maps = predictor.predict(asked.tx_position_m.copy(), asked.carrier_hz.copy())
     maps = checked_maps(predictor, maps, (len(asked), *asked.grid.shape))
     if fault := fault_of_maps(maps):
         raise MethodError(

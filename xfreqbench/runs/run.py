@@ -34,7 +34,7 @@ from xfreqbench.errors import (
     was_interrupted,
 )
 from xfreqbench.methods.contract import Budget, Method, parse_budget
-from xfreqbench.methods.fitting import Stopwatch, checked_findings, checked_maps, checked_num_parameters
+from xfreqbench.methods.fitting import Fit, Stopwatch, checked_findings, checked_maps, checked_num_parameters
 from xfreqbench.methods.registry import device_option, method_names, name_of, require_installed, room_method_names
 from xfreqbench.runs.estimate import estimate_runs
 from xfreqbench.runs.fit import FitProgress, TaskFit
@@ -51,9 +51,11 @@ from xfreqbench.system.bars import Shown, announcing
 from xfreqbench.system.cluster import UnfitWorkerError
 from xfreqbench.system.files import read_text, storage_errors
 from xfreqbench.system.source import Known, known_sources, remember_sources
-from xfreqbench.system.workers import HERE, SERIAL, LocalProcesses, Workers, open_workers, side_by_side
+from xfreqbench.system.workers import HERE, SERIAL, LocalProcesses, Workers, open_workers, send_message, side_by_side
 
 _LOOK_S = 0.5  # between two looks at what other processes are at
+_SEND_EVERY_S = 0.1  # how a fit stands
+_sent_s = 0.0
 Options = Texts | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
 Methods = Annotated[Sequence[str | type], BeforeValidator(listed)] | Mapping[str | type, Options]
 
@@ -165,16 +167,25 @@ def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress:
         if estimate.is_long:
             print(estimate, file=sys.stderr, flush=True)
     with (
-        open_workers(executor, is_fresh=True, imports=imports_of(tasks)) as workers,
-        run_bars(not progress, shows_fit=workers is HERE) as callbacks,
+        run_bars(not progress, shows_fit=executor in (SERIAL, "1")) as (ended, fitting),
+        open_workers(executor, is_fresh=True, imports=imports_of(tasks), on_message=fitting) as workers,
     ):
         try:
-            return run_jobs(tasks, results_dir, workers, *callbacks)
+            return run_jobs(tasks, results_dir, workers, ended, fitting)
         except RunsFailedError as failed:
             if len(tasks) > 1:
                 raise
             (error,) = failed.errors.values()
             raise error from None
+
+
+def usual_executor(tasks: Iterable[Task]) -> str:
+    """`serial` for methods of this package; `1`, a process for each run, where one is not.
+
+    Other code may end its process, or change what the next run uses.
+    """
+    kinds = {type(getattr(task.method, "built", task.method)) for task in tasks}
+    return SERIAL if all(kind.__module__.startswith("xfreqbench.") for kind in kinds) else "1"
 
 
 def imports_of(tasks: Iterable[Task]) -> list[str]:
@@ -210,7 +221,8 @@ def run_jobs(
 
     Predictions of jobs for which `keeps_predictions` says so stay; others are removed once they are scored, and their
     records say that. `progress` is called whenever a job has ended, and at first for those that are finished.
-    `fitting` is called at every step of a fit in this process with how it stands.
+    `fitting` is called at every step of a fit in this process with how it stands; for other processes, see
+    `open_workers`.
     """
     folder = ResultsFolder(results_dir.absolute())
     require_runnable(tasks, folder)
@@ -238,7 +250,7 @@ def run_jobs(
         call = partial(_run_claimed, folder=folder, fitting=fitting)
     else:
         sources = known_sources() if isinstance(workers, LocalProcesses) else {}
-        call = partial(_run_claimed, folder=ResultsFolder(folder.path), sources=sources)
+        call = partial(_run_claimed, folder=ResultsFolder(folder.path), fitting=_send_fit, sources=sources)
         require_shared_folder(workers, folder.path)
         require_shared_datasets(workers, {path: sha256 for task in missing for path, sha256 in task.files.items()})
     locks, announced = dict[str, ExitStack](), set[str]()
@@ -321,6 +333,14 @@ def _run_claimed(
         record = run_one(claim.task, folder, fitting, require_claim)
     _require_same(claim, folder)
     return record
+
+
+def _send_fit(job: Job, fit: Fit) -> None:
+    """Tell the process that this one works for how a fit stands, ten times a second at most."""
+    global _sent_s
+    if time.perf_counter() - _sent_s > _SEND_EVERY_S:
+        send_message(job, fit)
+        _sent_s = time.perf_counter()
 
 
 def _require_same(claim: _Claim, folder: ResultsFolder) -> None:

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import re
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,6 +17,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from multiprocessing import forkserver
+from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
 from queue import SimpleQueue
 from types import TracebackType
@@ -32,6 +34,7 @@ Cores = frozenset[int]
 SERIAL = "serial"
 MAX_DEATHS = 4  # processes that may die of one call; Dask allows as many workers by default
 _SPAWN = multiprocessing.get_context("spawn")  # a fork of this process would inherit its threads and locks
+_UNKNOWN_STATUS = 255
 _INTERRUPT = {signal.SIGINT}
 _THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
@@ -55,18 +58,22 @@ class Workers(Protocol):
 
 
 def open_workers(
-    executor: str, *, is_fresh: bool = False, imports: Sequence[str] = ()
+    executor: str,
+    *,
+    is_fresh: bool = False,
+    imports: Sequence[str] = (),
+    on_message: Callable[..., object] | None = None,
 ) -> AbstractContextManager[Workers]:
     """The workers that `--executor` names: `serial`, a number of processes, or `dask://host:port`.
 
-    `is_fresh` and `imports` are those of `LocalProcesses`. Raises `XFreqBenchError` for any other text, and what
+    The others are those of `LocalProcesses`. Raises `XFreqBenchError` for any other text, and what
     `xfreqbench.system.cluster.dask_workers` raises.
     """
     require_executor(executor)
     if executor == SERIAL:
         return nullcontext(HERE)
     if executor.isdecimal():
-        return LocalProcesses(split_cores(int(executor)), is_fresh=is_fresh, imports=imports)
+        return LocalProcesses(split_cores(int(executor)), is_fresh=is_fresh, imports=imports, on_message=on_message)
     return dask_workers(executor)
 
 
@@ -149,10 +156,18 @@ class LocalProcesses:
 
     They end with this process, however it ends. With `is_fresh` every call is made in a new process, so that
     whatever is timed has equal conditions. `imports` names modules that calls will import anyway: where the system can,
-    processes are forked off one that has imported them and did nothing else.
+    processes are forked off one that has imported them and did nothing else. `on_message` is called in a
+    thread of this process, with the arguments of each `send_message` of the others.
     """
 
-    def __init__(self, places: Sequence[Cores], *, is_fresh: bool = False, imports: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        places: Sequence[Cores],
+        *,
+        is_fresh: bool = False,
+        imports: Sequence[str] = (),
+        on_message: Callable[..., object] | None = None,
+    ) -> None:
         self.num_places = len(places)
         context = _forking(places, tuple(imports)) or _SPAWN
         self._is_fresh = is_fresh
@@ -160,7 +175,7 @@ class LocalProcesses:
         self._threads = ThreadPoolExecutor(len(places))
         self._free: SimpleQueue[_Place] = SimpleQueue()
         self._places = [
-            _Place(context, partial(_settle, cores, len(places) == 1), is_first=place == 0)
+            _Place(context, partial(_settle, cores, len(places) == 1), place == 0, on_message)
             for place, cores in enumerate(places)
         ]
         for place in self._places:
@@ -177,9 +192,10 @@ class LocalProcesses:
         self._threads.shutdown(wait=error is None, cancel_futures=True)
         while self._free.qsize() < self.num_places:  # a thread may be starting another process
             for place in self._places:
-                place.terminate()
+                place.kill()
             time.sleep(0.05)
         for place in self._places:
+            place.kill()
             place.close()
 
     def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
@@ -196,17 +212,25 @@ class LocalProcesses:
             return self._tried(place, call, argument)
         finally:
             if self._is_fresh:
+                place.kill()
                 place.close()
             self._free.put(place)
 
     def _tried(self, place: _Place, call: Callable[[Argument], Result], argument: Argument) -> Result:
+        died = ""
         for _ in range(MAX_DEATHS):
             if self._is_ending.is_set():
                 raise ClusterError("The call was ended with those beside it.")
             with suppress(BrokenProcessPool):
                 return place.submit(call, argument).result()
-            place.close()
-        raise ClusterError(lost_workers(MAX_DEATHS))
+            status = place.close()
+            if 0 <= status < _UNKNOWN_STATUS:
+                raise ClusterError(
+                    f"A process ended itself with exit status {status}, before its work was done. Code that runs "
+                    "there, such as a method's, has to return or to raise an exception."
+                )
+            died = f", the last by {signal.Signals(-status).name}" if status < 0 else ""
+        raise ClusterError(lost_workers(MAX_DEATHS, died))
 
 
 @dataclass
@@ -214,28 +238,45 @@ class _Place:
     """A place for one process at a time; each process first calls `settle`."""
 
     context: BaseContext
-    settle: Callable[[Mapping[str, str]], None]
+    settle: Callable[[Mapping[str, str], Connection | None], None]
     is_first: bool  # which alone announces compilation
+    on_message: Callable[..., object] | None = None
     _process: ProcessPoolExecutor | None = None
+    _listener: threading.Thread | None = None
 
     def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
         """Have the process of this place make a call; it is started if there is none."""
         with safe_path():  # making an executor starts a process, too: multiprocessing's tracker of semaphores
-            if self._process is None:
-                environment = dict(os.environ) | ({} if self.is_first else {ANNOUNCES: "0"})
-                self._process = ProcessPoolExecutor(1, self.context, self.settle, (environment,))
-            return self._process.submit(call, argument)
+            if self._process is not None:
+                return self._process.submit(_flushed, call, argument)
+            environment = dict(os.environ) | ({} if self.is_first else {ANNOUNCES: "0"})
+            reader, writer = self.context.Pipe(duplex=False) if self.on_message else (None, None)
+            self._process = ProcessPoolExecutor(1, self.context, self.settle, (environment, writer))
+            made = self._process.submit(_flushed, call, argument)
+        if reader and writer:
+            writer.close()  # the process has its own, and nothing can be read any more once that is closed
+            self._listener = threading.Thread(target=_read_messages, args=(reader, self.on_message), daemon=True)
+            self._listener.start()
+        return made
 
-    def terminate(self) -> None:
-        """End the process, whatever it does."""
-        for process in list(((self._process and self._process._processes) or {}).values()):
-            process.terminate()
+    def kill(self) -> None:
+        """End the process, whatever it does: what it called may have left a thread, or ignore signals."""
+        for process in self._processes:
+            process.kill()
 
-    def close(self) -> None:
-        """End the process once it is idle."""
+    def close(self) -> int:
+        """Forget the process, which has ended or does so now; returns its exit status, that of a signal negative."""
+        processes = self._processes
         if self._process is not None:
             self._process.shutdown()
             self._process = None
+        if self._listener is not None:
+            self._listener.join(1)  # what it left may hold the other end
+        return next((process.exitcode for process in processes), _UNKNOWN_STATUS)
+
+    @property
+    def _processes(self) -> list[Any]:
+        return list(((self._process and self._process._processes) or {}).values())
 
 
 def exit_status(call: Callable[[Argument], object], argument: Argument) -> int:
@@ -250,6 +291,7 @@ def exit_status(call: Callable[[Argument], object], argument: Argument) -> int:
     return process.exitcode or 0
 
 
+_messages: Connection | None = None  # to the process that this one works for
 _forks: tuple[int, tuple[str, ...]] | None = None  # cores of each fork, and what was imported for all; set once
 
 
@@ -280,13 +322,38 @@ def _forking(places: Sequence[Cores], imports: tuple[str, ...]) -> BaseContext |
     return context if _forks[0] == size and set(imports) <= set(_forks[1]) else None
 
 
+def _flushed(call: Callable[[Argument], Result], argument: Argument) -> Result:
+    """Make a call and show what it printed, for this process is killed in the end."""
+    try:
+        return call(argument)
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(AttributeError, OSError, ValueError):  # the call may have closed or replaced it
+                stream.flush()
+
+
+def _read_messages(reader: Connection, on_message: Callable[..., object]) -> None:
+    with suppress(EOFError, OSError), reader:
+        while True:
+            on_message(*reader.recv())
+
+
+def send_message(*arguments: Any) -> None:
+    """Call the `on_message` of the process that this one works for, if it has one."""
+    if _messages is not None:
+        with suppress(OSError):
+            _messages.send(arguments)
+
+
 def _make_settled(call: Callable[[Argument], object], argument: Argument) -> None:
     _settle(frozenset(), True, {})
     call(argument)
 
 
-def _settle(place: Cores, is_alone: bool, environment: Mapping[str, str]) -> None:
+def _settle(place: Cores, is_alone: bool, environment: Mapping[str, str], writer: Connection | None = None) -> None:
     """Keep this process to its cores, and let it end with its parent, even if the parent is killed."""
+    global _messages
+    _messages = writer
     os.environ.update(environment)  # that of a fork is as old as the process it was forked off
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPT)
