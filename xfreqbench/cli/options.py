@@ -76,7 +76,6 @@ ScoredOnOption = Annotated[
         "They stand on a board of their own.",
     ),
 ]
-_PIPED_WIDTH = 160  # columns of text for a table that goes to a file or another program
 
 
 def example(words: str) -> str:
@@ -158,4 +157,4 @@ def print_table(title: str, header: tuple[str, ...], rows: list[tuple[str, ...]]
         table.add_column(Text(name))
     for row in rows:
         table.add_row(*map(Text, row))
-    Console(width=None if sys.stdout.isatty() else _PIPED_WIDTH).print(table)
+    Console(width=None if sys.stdout.isatty() else 160).print(table)

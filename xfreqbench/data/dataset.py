@@ -62,9 +62,7 @@ from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import format_ghz, format_ghz_list
 
-SAME_PLACE_M = 1e-3
 TENSORS = "xfreqbench.tensors"  # group of entry points: what makes samples those of another library
-_ITERATED_MAPS = 64  # read at once: 8 MB
 _SHOWN_CARRIERS = 12
 _WARNED_BYTES = 1e9  # of maps that are read at once
 
@@ -121,7 +119,7 @@ class PasDataset:
         return Sample(one.pas()[0], one.tx_position_m[0], float(one.carrier_hz[0]))
 
     def __iter__(self) -> Iterator[Sample]:
-        for rows, maps in self.batches(_ITERATED_MAPS):
+        for rows, maps in self.batches(64):
             yield from map(Sample, maps, self.tx_position_m[rows], self.carrier_hz[rows].tolist())
 
     def __repr__(self) -> str:
@@ -252,7 +250,7 @@ class PasDataset:
         from scipy.spatial import KDTree
 
         position_m, of_tx = np.unique(self.tables["tx_position_m"], axis=0, return_inverse=True)
-        near = KDTree(position_m).query_pairs(SAME_PLACE_M, output_type="ndarray")
+        near = KDTree(position_m).query_pairs(1e-3, output_type="ndarray")
         place_of_tx = components(near[:, 0], near[:, 1], len(position_m))[of_tx.ravel()]
         _, first, place = np.unique(place_of_tx, return_index=True, return_inverse=True)
         return first[place][self.tx_index]

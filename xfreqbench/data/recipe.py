@@ -20,8 +20,6 @@ from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray
 
 OF_CONTENT = "data"  # in place of the physics version, where nothing says how the samples were made
-_SHOWN_DIGITS = 8
-_SHOWN_LETTERS = 40  # of a value in a message; a longer one is shown as its hash
 # Positions of transmitters are in the data, and their antenna is in the settings.
 _NOT_PHYSICS = {"name", "description", "transmitters", "transmitter_polarization", "folder"}
 _TOLD_BY_MESHES = {"scene", "up", "mirrors", "least_patch_area_m2", "least_patch_width_m"}
@@ -108,7 +106,7 @@ def job_of(header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> di
     numbers = {"carrier_hz": f"{len(header.carrier_hz)}: ", "tx_position_um": f"{len(tx_position_m)}: "}
     return {
         name: numbers.get(name, "")
-        + (text if len(text) <= _SHOWN_LETTERS else f"sha256 {hashlib.sha256(text.encode()).hexdigest()[:16]}")
+        + (text if len(text) <= 40 else f"sha256 {hashlib.sha256(text.encode()).hexdigest()[:16]}")
         for name, text in _flat("", content)
         if not any(name == other or name.startswith(f"{other}.") for other in left_out)
     }
@@ -145,7 +143,7 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
 def recipe_name(scene_name: str, recipe_id: str) -> str:
     """The name that is shown of a recipe, from the name of its scene and its `Recipe.id`."""
     physics, _, sha256 = recipe_id.partition("-")
-    return f"{scene_name}@{physics}-{sha256[:_SHOWN_DIGITS]}"
+    return f"{scene_name}@{physics}-{sha256[:8]}"
 
 
 def micrometres(position_m: Float[FloatArray, "T 3"]) -> Any:

@@ -33,7 +33,6 @@ from xfreqbench.types import ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 MAX_DEPTH, RAYS = 4, 50_000  # of a room by default: a fifth of the time that a scene's defaults take
-_ROOMS_A_FOLDER = 1000
 _SHOWN = 5  # names of files in a message
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 
@@ -63,7 +62,7 @@ class RoomsPlan:
 
     def file_of(self, seed: int) -> str:
         """The file of a room within the folder."""
-        return f"{seed // _ROOMS_A_FOLDER:03d}/{seed:06d}.h5"
+        return f"{seed // 1000:03d}/{seed:06d}.h5"
 
 
 @checked

@@ -28,7 +28,6 @@ from xfreqbench.units import format_ghz
 WINDOW_DB = 25.0
 _DELAY_STEPS = 10_000  # of a nanosecond, in each of which the power of all diffuse paths counts together
 MECHANISMS = ("direct", "reflected", "transmitted", "diffracted", "diffuse")
-_LEAST_DECADES = 0.1  # of distance, over which an exponent is fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,6 +285,6 @@ def _median(values: Float[FloatArray, "n"]) -> float:
 def _exponent(loss_db: Float[FloatArray, "n"], distance_m: Float[FloatArray, "n"]) -> float:
     """By how many times 10 dB the loss grows with a decade of distance; nan where distances hardly differ."""
     decades = np.log10(distance_m)
-    if len(decades) < 3 or np.ptp(decades) < _LEAST_DECADES:
+    if len(decades) < 3 or np.ptp(decades) < 0.1:
         return float("nan")
     return float(np.polyfit(decades, loss_db, 1)[0] / 10)

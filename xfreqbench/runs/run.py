@@ -54,7 +54,6 @@ from xfreqbench.system.source import Known, known_sources, remember_sources
 from xfreqbench.system.workers import HERE, SERIAL, LocalProcesses, Workers, open_workers, send_message, side_by_side
 
 _LOOK_S = 0.5  # between two looks at what other processes are at
-_SEND_EVERY_S = 0.1  # how a fit stands
 _sent_s = 0.0
 Options = Texts | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
 Methods = Annotated[Sequence[str | type], BeforeValidator(listed)] | Mapping[str | type, Options]
@@ -338,7 +337,7 @@ def _run_claimed(
 def _send_fit(job: Job, fit: Fit) -> None:
     """Tell the process that this one works for how a fit stands, ten times a second at most."""
     global _sent_s
-    if time.perf_counter() - _sent_s > _SEND_EVERY_S:
+    if time.perf_counter() - _sent_s > 0.1:
         send_message(job, fit)
         _sent_s = time.perf_counter()
 

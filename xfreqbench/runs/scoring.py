@@ -23,7 +23,6 @@ from xfreqbench.system.arguments import checked
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
 BATCH_SIZE = 32  # maps that are in memory at a time
-_SSIM_DECIMALS = 4
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,7 @@ def _scores(dataset: PasDataset, predicted: Iterable[MapBatch]) -> dict[str, Flo
 def by_group(values: Float[FloatArray, "N"], group: Int[IntArray, "N"]) -> tuple[tuple[float, ...], ...]:
     """Values, rounded, in one tuple for each group, such as a transmitter; `group` ascends, as rows do."""
     starts = np.flatnonzero(np.diff(group)) + 1
-    return tuple(tuple(part.tolist()) for part in np.split(values.round(_SSIM_DECIMALS), starts))
+    return tuple(tuple(part.tolist()) for part in np.split(values.round(4), starts))
 
 
 def summary(values: Float[FloatArray, "N"], carrier_hz: Float[FloatArray, "N"]) -> Summary:

@@ -22,8 +22,7 @@ from xfreqbench.scene.model import Point, ReceiverArray, Scene, Surface, form_er
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.types import FloatArray
 
-_TRIES = 30  # for the place of a piece of furniture, which is left out then
-_MOST_TRIES = 10_000  # for the places of the array and of all transmitters
+_MOST30 = 10_000  # for the places of the array and of all transmitters
 _DOOR_HEIGHT_M, _DOOR_WIDTH_M, _WINDOW_WIDTH_M = 2.05, (0.8, 1.0), (0.8, 2.4)
 _BESIDE_OPENING_M, _BETWEEN_PARTITIONS_M = 0.15, 1.6
 _LIFTED_M, _GAP_M, _BELOW_CEILING_M = 0.02, 0.04, 0.05  # of furniture: off the floor, other things and the ceiling
@@ -59,7 +58,7 @@ class DrawnRoom:
         """
         dice, found = Dice(self.seed, 1), list[Point]()
         array_m = np.asarray(self.scene.receiver.position_m)
-        for _ in range(_MOST_TRIES + 100 * number):
+        for _ in range(_MOST30 + 100 * number):
             if len(found) == number:
                 return np.array(found)
             x, y = _within(dice, self.outline_m)
@@ -264,7 +263,7 @@ def _receiver(
 ) -> ReceiverArray:
     """The array at a random place under the ceiling, or before one of the walls."""
     array = dice.one_of(kind.arrays)
-    for _ in range(_MOST_TRIES):
+    for _ in range(_MOST30):
         away_m = dice.between(array.away_m)
         if array.at == "ceiling":
             x, y = _within(dice, outline_m)
@@ -341,7 +340,7 @@ def _placed(
     tall_m = min(tall_m, _rounded(height_m - _LIFTED_M - _BELOW_CEILING_M))
     low_m = _rounded(height_m - _BELOW_CEILING_M - tall_m) if piece.at == "ceiling" else _LIFTED_M
     walls = list(zip(outline_m, np.roll(outline_m, -1, axis=0), strict=True))
-    for _ in range(_TRIES):
+    for _ in range(30):
         if piece.at == "wall":
             start, end = walls[dice.whole((0, len(walls) - 1))]
             length_m = float(np.sqrt(((end - start) ** 2).sum()))

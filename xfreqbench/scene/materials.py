@@ -25,7 +25,6 @@ from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz_list, ghz_to_hz
 
 MaterialPolicy = Literal["error", "extrapolate"]
 P2040_EDITION = "P.2040-4"  # of `ITU_MATERIALS`; whoever changes values raises `PHYSICS_VERSION` too
-MAX_LAYERS = 32
 MAX_THICKNESS_M, MAX_PERMITTIVITY, MAX_CONDUCTIVITY_S_M = (1e3, 1e6, 1e9)  # Sionna RT's float32 holds their fields
 Thickness = Annotated[float, Field(gt=0, le=MAX_THICKNESS_M, allow_inf_nan=False)]
 DEFAULT_THICKNESS_M = 0.1  # of a material that states none, as in Sionna RT
@@ -236,7 +235,7 @@ class SceneMaterial:
     conductivity_s_m: Annotated[float, Field(ge=0, le=MAX_CONDUCTIVITY_S_M, allow_inf_nan=False)] | None = None
     thickness_m: Thickness | None = None
     scattering: Scattering | None = None
-    layers: Annotated[tuple[SceneLayer, ...], Field(min_length=1, max_length=MAX_LAYERS)] | None = None
+    layers: Annotated[tuple[SceneLayer, ...], Field(min_length=1, max_length=32)] | None = None
 
     _json = only_given
 

@@ -25,7 +25,6 @@ from xfreqbench.scene.polygons import flat_polygon, is_flat
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
 SIONNA = "sionna:"  # begins the name of a scene that Sionna RT brings
-PARALLELOGRAM_TOLERANCE = 1e-6  # of the diagonal
 _UPWARDS = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # takes y upwards to z upwards
 FLAT = 0.01  # a scene is a single wall where its vertices lie within this share of its extent of one plane
 FLOOR_M = 0.3  # the most that a floor is thick, or a room off the middle where it is centred
@@ -100,7 +99,7 @@ def _parallelogram(
     (opposite,) = set(second.tolist()) - set(diagonal) or {diagonal[0]}
     a, b, c, d = vertices_m[[apex, diagonal[0], opposite, diagonal[1]]]
     size = np.linalg.norm(c - a)
-    is_parallelogram = np.allclose(a + c, b + d, rtol=0, atol=PARALLELOGRAM_TOLERANCE * size)
+    is_parallelogram = np.allclose(a + c, b + d, rtol=0, atol=1e-6 * size)
     return np.stack([a, b, c, d]) if is_parallelogram and _have_area(np.stack([a, b, c])[None])[0] else None
 
 

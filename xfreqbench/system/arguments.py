@@ -29,7 +29,6 @@ from xfreqbench.units import ghz_to_hz
 
 Taken = ParamSpec("Taken")
 Returned = TypeVar("Returned")
-_MAX_REASONS = 3
 
 
 def checked(function: Callable[Taken, Returned]) -> Callable[Taken, Returned]:
@@ -84,7 +83,7 @@ def _words(function: Callable[..., Any], error: ValidationError) -> str:
     given = reprlib.repr(first["input"]).replace("\n", " ")
     is_within = any(isinstance(part, int) for part in first["loc"][1:])
     what = f"{given} in {name}" if is_within else f"{name}={given}"
-    return f"{function.__name__} cannot use {what}: {'; or: '.join([*reasons][:_MAX_REASONS])}."
+    return f"{function.__name__} cannot use {what}: {'; or: '.join([*reasons][:3])}."
 
 
 def listed(given: Any) -> Any:

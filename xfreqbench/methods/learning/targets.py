@@ -21,7 +21,6 @@ from xfreqbench.maps.lags import LagFunctions
 from xfreqbench.types import FloatArray
 
 _RIDGE = 1e-6  # of the largest mean square of a lag function
-_DIRECTIONS_PER_LAG = 4
 _CHANNELS_AT_ONCE = 4096  # whose products of all pairs of elements are in memory
 _MIN_PEAK = 1e-30  # so that the gradient of a square root at zero, divided by the peak, is a finite float32
 
@@ -112,7 +111,7 @@ class Beams:
     def coarse_view(self, stride: int) -> GridView:
         """Every `stride`-th row and column, or more of them, so that directions are four times as many as lags."""
         rows, columns = self.grid.shape
-        enough = _DIRECTIONS_PER_LAG * len(self._waves)
+        enough = 4 * len(self._waves)
         return GridView(next((n for n in range(stride, 1, -1) if -(-rows // n) * -(-columns // n) >= enough), 1))
 
     def angles_in(self, view: GridView) -> tuple[Float[Tensor, "A"], Float[Tensor, "E"]]:

@@ -24,12 +24,10 @@ from xfreqbench.report.drawing.templates import SOFTWARE
 from xfreqbench.system.files import atomic_path, require_own, storage_errors
 from xfreqbench.types import FloatArray, NDArray
 
-_MAX_DISCS = 5  # maps side by side
 FIGURE_KINDS = ("png", "svg", "pdf")
 _VIEWS = {"plan": (0, 1), "elevation": (0, 2)}  # world axes to the right and upwards
 _MAX_LETTERS = 80  # of a text in a figure
 # warnings; whoever shows an SVG may know the letters
-_UNKNOWN_LETTERS = "Glyph|Matplotlib currently does not support"
 _MAX_PIXELS = 10**7  # of a picture that is read
 # How an SVG looks where the reader's colours are dark: paper, ink and greys change, the colours of lines stay.
 _DARK = "".join(
@@ -87,7 +85,7 @@ def plot_pas_maps(
     Each disc has a title, and all of them have `title`. The suffix of `path` says which of `FIGURE_KINDS` is written.
     Raises `StorageError`.
     """
-    columns = min(_MAX_DISCS, len(maps))
+    columns = min(5, len(maps))
     rows = -(-len(maps) // columns)
     figure = Figure(figsize=(max(2.4 * columns + 0.9, 4.5), 2.7 * rows + 0.6), layout="constrained")
     axes = panels(figure, len(maps), columns, subplot_kw={"projection": "polar"})
@@ -152,7 +150,7 @@ def shown(text: str) -> str:
 def any_letters() -> Iterator[None]:
     """A block in which letters that the font lacks are drawn as boxes, without a warning."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", _UNKNOWN_LETTERS)
+        warnings.filterwarnings("ignore", "Glyph|Matplotlib currently does not support")
         yield
 
 

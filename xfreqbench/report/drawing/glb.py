@@ -20,7 +20,6 @@ from xfreqbench.types import FloatArray
 Colour = tuple[int, int, int, int]  # red, green, blue and opacity, from 0 to 255
 
 _SURFACE = 150, 160, 175, 60
-_TUBE_SIDES = 6
 _OCTAHEDRON = np.vstack([np.eye(3), -np.eye(3)])
 _OCTAHEDRON_FACES = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
 _Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from z upwards to y upwards
@@ -61,8 +60,7 @@ class GlbModel:
     def add_tube(self, name: str, points_m: Float[FloatArray, "n 3"], radius_m: float, colour: Colour) -> None:
         """Add a line through points as a tube, which all viewers draw alike. Neighbouring points must differ."""
         parts = [
-            trimesh.creation.cylinder(radius=radius_m, segment=segment, sections=_TUBE_SIDES)
-            for segment in pairwise(points_m)
+            trimesh.creation.cylinder(radius=radius_m, segment=segment, sections=6) for segment in pairwise(points_m)
         ]
         tube = trimesh.util.concatenate(parts)
         assert isinstance(tube, trimesh.Trimesh), "cylinders are meshes"

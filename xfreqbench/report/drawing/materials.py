@@ -20,12 +20,11 @@ _COLOURS = {
     "ceiling_board": "#a9b39b",
     "floorboard": "#8b6b3d",
 }
-_OTHER = "#6b8e6b"
 
 
 def material_hex(material: str) -> str:
     """Colour of a material as `#rrggbb`; one for all that have no name of ours."""
-    return _COLOURS.get(material, _OTHER)
+    return _COLOURS.get(material, "#6b8e6b")
 
 
 def material_colour(material: str, opacity: int) -> tuple[int, int, int, int]:

@@ -31,7 +31,6 @@ from xfreqbench.report.leaderboard.rows import (
 from xfreqbench.runs.records import NUM_QUANTILES, RunRecord
 
 GroupKey = tuple[str, str, str]  # scene, recipe of the data, protocol
-_MAX_STEM_BYTES = 150  # a name of a file may have 255
 
 
 @dataclass(frozen=True)
@@ -180,7 +179,7 @@ def slug_of(text: str) -> str:
 
 def file_stem(text: str) -> str:
     """The beginning of a text that is short enough for the name of a file."""
-    return text.encode()[:_MAX_STEM_BYTES].decode("utf-8", "ignore")
+    return text.encode()[:150].decode("utf-8", "ignore")
 
 
 def or_nan(value: float | None) -> float:

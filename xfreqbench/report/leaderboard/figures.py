@@ -14,7 +14,6 @@ from xfreqbench.runs.records import BenchRecord
 FIGURES_FOLDER = "figures"  # beside the report
 _PAPER_TARGETS = ("2.4GHz", "24.25GHz", "77GHz")
 _MAX_PANELS = 4
-_MAX_CURVES = 10
 
 
 def time_link(board: Board) -> str:
@@ -52,7 +51,7 @@ def _draw_time(board: Board, path: Path) -> None:
     for split in _panels(followed):
         curves, trivial = learning_curves(board, [split]), best_trivial(board, split)
         points = {curve.row.label: _points(curve.known_points) for curve in curves}
-        shown = [row for row in board.rows_on([split]) if row.label in points][:_MAX_CURVES]
+        shown = [row for row in board.rows_on([split]) if row.label in points][:10]
         lines = {row.label: points[row.label] for row in shown}
         front = [point for point in split_front(curves, trivial) if point is not trivial]
         panels[short_name(split)] = TimePanel(lines, _points(front), trivial.ssim if trivial else None)

@@ -26,7 +26,6 @@ from xfreqbench.runs.records import RunRecord
 from xfreqbench.types import IntArray, NDArray
 
 SHOWN_CARRIER_HZ = SPARSE_TEST_HZ  # which both of the paper's protocols test
-LARGEST_ERROR = 0.3
 _POWER_COLOURS, _ERROR_COLOURS = "magma", "viridis"
 _HIGHEST = np.float32(255)  # level
 
@@ -193,11 +192,7 @@ def _draw(
     from xfreqbench.report.drawing.figures import map_png
 
     power = [np.where(level > 0, 10 ** ((level - 1) * RANGE_DB / 10), 0) for level in (truth, predicted)]
-    drawn = [
-        (truth, _POWER_COLOURS),
-        (predicted, _POWER_COLOURS),
-        (np.abs(power[1] - power[0]) / LARGEST_ERROR, _ERROR_COLOURS),
-    ]
+    drawn = [(truth, _POWER_COLOURS), (predicted, _POWER_COLOURS), (np.abs(power[1] - power[0]) / 0.3, _ERROR_COLOURS)]
     names = []
     for values, colours in drawn:
         png = map_png(values, colours)

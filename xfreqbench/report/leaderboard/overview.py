@@ -35,7 +35,6 @@ _BRIEFLY = {  # of a measurement: its heading, and what its columns say
 }
 _MOST_ROWS, _MOST_SPLITS = 3, 5
 _FEW_MAPS, _MANY_MAPS = (budget_text(LANES[name]) for name in ("quick", "converged"))
-_GAIN = "quick → converged"
 _FLAT = 0.002  # of SSIM
 _UNSEEN, _REGIONS = "held-out-tx", "held-out-block"
 
@@ -256,7 +255,7 @@ def _budget_table(lanes: Sequence[Board]) -> list[str]:
     ]
     caption = f"Average median SSIM on {', '.join(map(short_name, splits))} by budget"
     if {_FEW_MAPS, _MANY_MAPS} <= {lane.lane for lane in lanes}:
-        header.append(_GAIN)
+        header.append("quick → converged")
         for line in body:
             few, many = (rows.get((line[0], lane), nan) for lane in (_FEW_MAPS, _MANY_MAPS))
             gain = many - few  # each of the two fits let its learning rate fall to its own end

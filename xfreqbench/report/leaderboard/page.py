@@ -33,7 +33,6 @@ from xfreqbench.system.files import require_own, require_space, write_text
 _TITLE = "xfreqbench results"  # a page with this title was written by us, and may be replaced
 Content = dict[str, Any]
 CHART_COSTS = ("seconds", "milliseconds", "parameters")  # against which the page draws accuracy
-_DIGITS = 4
 _MOST_SPLITS = 5  # whose columns the page shows at first
 _PLURALS = {"trivial": "trivial predictors", "ablation": "ablations"}
 
@@ -258,4 +257,4 @@ def _standing(comparison: Comparison, row: BoardRow) -> Content:
 
 
 def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}") if isfinite(value) else value
+    return float(f"{value:.4g}") if isfinite(value) else value

@@ -33,11 +33,9 @@ from xfreqbench.scene.facets import planar_facets
 from xfreqbench.types import FloatArray, NDArray
 
 _MARGIN_M = 0.25
-_OVERVIEW_MAPS = 6
 NUMBERED_RAYS = 9  # more numbers would cover each other
 _WIDTH_IN = {"png": 9.0, "svg": 5.2}  # of the room; pages show the narrow one, whose text is read on a phone too
 _MANY_LINES = 300  # more are stored as pixels in an SVG
-_SSIM_COLOURS = "viridis"
 _RAY_COLOURS = ListedColormap(mpl.colormaps["plasma"](np.linspace(0.2, 1, 256)), "rays")  # weak ones are dark
 _RAY_SCALE = Normalize(-RAY_RANGE_DB, 0)
 _BACKGROUND = "#14161c"  # on which bright rays stand out, as maps do
@@ -96,7 +94,7 @@ def plot_overview(
     `maps` are linear power, one a carrier, with one title each. Raises `StorageError`.
     """
     low_m, high_m = bounds_m(room)
-    chosen = np.unique(np.linspace(0, len(maps) - 1, min(len(maps), _OVERVIEW_MAPS)).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(maps) - 1, min(len(maps), 6)).round().astype(int))
     figure = Figure(figsize=(11, 4.6), layout="constrained")
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
     left, right = halves
@@ -206,7 +204,7 @@ def _draw_similarity(axis: Any, summary: CarrierSummary) -> None:
     found: Similarity = summary.similarity
     # the scale begins a tenth, rounded down, below all values
     least = float(np.floor(np.nanmin(found.median_ssim) * 10 - 0.01) / 10)
-    image = axis.pcolormesh(found.median_ssim, vmin=least, vmax=1, cmap=_SSIM_COLOURS)
+    image = axis.pcolormesh(found.median_ssim, vmin=least, vmax=1, cmap="viridis")
     names = [f"{carrier / 1e9:.12g}" for carrier in found.carrier_hz]
     places = np.arange(len(names)) + 0.5
     axis.set_xticks(places, names, fontsize=8)

@@ -34,7 +34,6 @@ from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz
 
 _MAX_COLUMNS = 3
-_LARGEST_SQUARE_M = 0.5
 _MANY_LINES = 1000  # outlines of so many facets fill areas, and would hide the squares
 _SAME_PLACE_M = 1e-3  # in the plan
 _PANELS = {  # of a row's name: its title, its unit in names, and what stands beside it
@@ -146,7 +145,7 @@ def _draw_squares(
     heard = np.flatnonzero(power > 0)
     order = heard[np.argsort(power[heard], kind="stable")]
     apart_m = KDTree(place_m).query(place_m, k=2)[0][:, 1] if len(place_m) > 1 else np.array([np.inf])
-    half_m = min(float(np.median(apart_m)), _LARGEST_SQUARE_M) / 2
+    half_m = min(float(np.median(apart_m)), 0.5) / 2
     corners = half_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     level_db = 10 * np.log10(power[order] / power.max()) if len(order) else np.zeros(0)
     outlines_m: Any = place_m[order, None] + corners

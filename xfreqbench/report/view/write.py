@@ -39,7 +39,6 @@ _ALT = {
     "power": "Power of the strongest direction against the carrier",
     "paths": "How many transmitters have how many paths",
 }
-_SURFACE_OPACITY = 60
 _ORANGE, _BLACK = (213, 94, 0, 255), (20, 20, 20, 255)
 _BALL_M, _MARKER_M, _RAY_M, _ELEMENT_M = 0.07, 0.02, 0.008, 0.015
 
@@ -86,7 +85,7 @@ def room_model(room: ShownRoom) -> GlbModel:
     """The scene as a 3D model with a node for every surface, every ray and each group of transmitters."""
     model = GlbModel()
     for mesh in room.meshes:
-        model.add_surface(mesh, material_colour(str(mesh.material), _SURFACE_OPACITY))
+        model.add_surface(mesh, material_colour(str(mesh.material), 60))
     for name, position_m in room.groups().items():
         model.add_markers(name, position_m, _MARKER_M, group_colour(name))
     for number, ray in enumerate(room.rays, start=1):
