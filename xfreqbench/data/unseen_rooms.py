@@ -15,21 +15,22 @@ materials of their own. Settings are chosen in validation rooms: `on="validation
 
 from __future__ import annotations
 
-import hashlib
 import json
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Int
+from scipy.spatial import KDTree
 
-from xfreqbench.data.collection import Collection, Part
+from xfreqbench.data.collection import Collection, Part, Room
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import ProtocolError, UnknownNameError
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.system.files import json_sha256
-from xfreqbench.types import IntArray
+from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz_list, ghz_to_hz
 
 UNSEEN_ROOMS, UNSEEN_ROOMS_PLAN = "unseen-rooms", "unseen-rooms-plan"
@@ -40,6 +41,7 @@ NUM_ASKED = 16
 HEARD_GHZ, ASKED_GHZ = (1.0, 10.0, 60.0), (2.4, 24.25, 77.0)  # it is asked for those it heard too
 TOLD_MATERIAL, TOLD_THICKNESS_M = "concrete", 0.2  # of every surface of a plan
 _SEED = 0
+_SAME_PLAN_M = 5e-3
 
 
 @dataclass(frozen=True)
@@ -173,19 +175,31 @@ def room_splits(collection: Collection, protocol: str, on: str = "test") -> list
 def require_no_room_twice(collection: Collection) -> None:
     """Raise `ProtocolError` where two rooms of a collection have the same seed, the same data, or the same plan.
 
-    Plans are compared without names and materials: a room with other walls of the same shape is that room. A thousand
-    rooms take half a minute, so the answer for a collection is kept for its other splits.
+    Plans are compared without names and materials: a room with other walls of the same shape is that room, and so is
+    one whose surfaces are a few millimetres elsewhere. A thousand rooms take half a minute, so the answer for a
+    collection is kept for its other splits.
     """
-    seen = dict[tuple[str, str], str]()
+    seen, plans = dict[tuple[str, str], Room](), defaultdict[str, list[tuple[Room, FloatArray]]](list)
     for room, dataset in zip(collection.rooms, collection, strict=True):
-        plan = _plan_sha256(dataset)
-        for what, value in (("seed", str(room.seed)), ("data", room.sha256), ("plan", plan)):
-            other = seen.setdefault((what, value), room.file) if value else room.file
-            if other != room.file:
-                raise ProtocolError(
-                    f"Rooms {other} and {room.file} of {collection.path} have the same {what}, so that a test room may "
-                    "be trained on. Remove one of them, or generate the collection again."
-                )
+        for what, value in (("seed", str(room.seed)), ("data", room.sha256)):
+            _require_other(collection, what, seen.setdefault((what, value), room), room)
+        if plan := _plan(dataset):
+            bare = replace(plan, surface=(), receiver=ReceiverArray(position_m=(0.0, 0.0, 0.0)), other_receivers=())
+            spans_m = [[*surface.corners_m.min(axis=0), *surface.corners_m.max(axis=0)] for surface in plan.surface]
+            shape = np.sort(np.reshape(spans_m, (-1, 6)), axis=0).ravel()  # in whatever order the surfaces are
+            plans[f"{len(shape)} {bare.canonical_json}"].append((room, np.append(shape, 0.0)))
+    for alike in plans.values():
+        near = KDTree([shape for _, shape in alike]).query_pairs(_SAME_PLAN_M, p=np.inf)
+        for first, second in sorted(near):
+            _require_other(collection, "plan", alike[first][0], alike[second][0])
+
+
+def _require_other(collection: Collection, what: str, first: Room, second: Room) -> None:
+    if first is not second:
+        raise ProtocolError(
+            f"Rooms {first.file} and {second.file} of {collection.path} have the same {what}, so that a test room may "
+            "be trained on. Remove one of them, or generate the collection again."
+        )
 
 
 def _plan(dataset: PasDataset) -> Scene | None:
@@ -198,12 +212,3 @@ def _plan(dataset: PasDataset) -> Scene | None:
         for number, surface in enumerate(scene.surface)
     )
     return replace(scene, name="room", description="", surface=tuple(told), material=(), transmitters=None)
-
-
-def _plan_sha256(dataset: PasDataset) -> str:
-    """Hash of where everything stands in a room, wherever its array is; empty for data without a scene."""
-    plan = _plan(dataset)
-    if plan is None:
-        return ""
-    bare = replace(plan, receiver=ReceiverArray(position_m=(0.0, 0.0, 0.0)), other_receivers=())
-    return hashlib.sha256(bare.canonical_json.encode()).hexdigest()
