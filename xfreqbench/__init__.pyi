@@ -12,6 +12,9 @@ from .data.shipped import load as load
 from .data.splits import Split as Split
 from .data.splits import make_splits as make_splits
 from .data.splits import protocols as protocols
+from .data.statistics import statistics as statistics
+from .data.views import plot as plot
+from .data.views import to_xarray as to_xarray
 from .data.writer import PasWriter as PasWriter
 from .data.writer import SampleBlock as SampleBlock
 from .maps import metrics as metrics
@@ -24,6 +27,7 @@ from .methods.contract import Progress as Progress
 from .methods.contract import RoomMethod as RoomMethod
 from .methods.learning.encoding import Scaling as Scaling
 from .methods.learning.encoding import positional_encoding as positional_encoding
+from .methods.learning.samples import to_torch as to_torch
 from .methods.learning.targets import Beams as Beams
 from .methods.learning.targets import GridView as GridView
 from .methods.learning.training import ChannelField as ChannelField

@@ -20,6 +20,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.retrace import drawn_rows, require_origin
 from xfreqbench.data.rooms import generate_rooms
 from xfreqbench.errors import ArgumentError, DataError, OutputExistsError, UnknownNameError
+from xfreqbench.methods.learning.samples import to_torch
 from xfreqbench.scene.drawn_rooms import draw_room
 from xfreqbench.scene.families import load_family
 from xfreqbench.system.files import json_sha256
@@ -67,7 +68,7 @@ def test_a_room_stays_in_its_part_whatever_rooms_are_beside_it(collection: Colle
 
 
 def test_a_loader_gives_the_samples_of_all_rooms(collection: Collection) -> None:
-    samples = collection.torch()
+    samples = to_torch(collection)
     assert len(samples) == collection.num_samples == 27
     (batch,) = DataLoader(samples, batch_size=27)
     assert batch.room.tolist() == [0] * 12 + [1] * 6 + [2] * 9

@@ -12,6 +12,7 @@ import xarray
 
 from tests.support.synthetic import channel, make_header, transmitters, write_dataset
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.data.views import plot
 from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.errors import DataError
 from xfreqbench.maps.bartlett import BartlettBeam
@@ -191,7 +192,7 @@ def test_netcdf4_reads_what_is_stored(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["power", "amplitude"])
 def test_a_map_is_drawn_in_db_below_its_peak(dataset: PasDataset, tmp_path: Path, kind: str) -> None:
     dataset = replace(dataset, header=replace(dataset.header, pas_kind=kind))
-    figure = dataset.plot(4)
+    figure = plot(dataset, 4)
     disc, bar = figure.axes
     assert disc.get_title() == f"10 GHz, transmitter at ({', '.join(f'{m:.2f}' for m in dataset[4].tx_position_m)}) m"
     assert bar.get_ylabel() == "dB below the peak"
@@ -200,4 +201,4 @@ def test_a_map_is_drawn_in_db_below_its_peak(dataset: PasDataset, tmp_path: Path
     np.testing.assert_allclose(drawn_db, 10 * np.log10(np.maximum(power, 1e-3)), atol=1e-3)
     figure.savefig(tmp_path / "map.png")
     with pytest.raises(IndexError):
-        dataset.plot(len(dataset))
+        plot(dataset, len(dataset))

@@ -41,7 +41,7 @@ def test_one_map_is_read_from_afar_without_the_file(server: Server, local: Path)
 
 
 def test_workers_of_a_loader_read_from_afar(server: Server) -> None:
-    loader = DataLoader(xb.open_dataset(server.url)[::8].torch(), batch_size=5, num_workers=2)  # type: ignore[var-annotated]
+    loader = DataLoader(xb.to_torch(xb.open_dataset(server.url)[::8]), batch_size=5, num_workers=2)  # type: ignore[var-annotated]
     assert [batch.map.shape[0] for batch in loader] == [5, 5]
 
 

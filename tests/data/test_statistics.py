@@ -17,7 +17,7 @@ from xfreqbench.cli.data import info, plot
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.standards import TR38901_K_DB, TR38901_SPREADS, spread_by, tr38901_path_loss_db
-from xfreqbench.data.statistics import MECHANISMS, of_paths
+from xfreqbench.data.statistics import MECHANISMS, of_paths, statistics
 from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.exchange.deepmimo import export_deepmimo
 from xfreqbench.exchange.deepmimo_import import import_deepmimo
@@ -141,7 +141,7 @@ def _evaluated(condition: str, d: NDArray[np.float64], f: float) -> NDArray[np.f
 
 def test_free_space_has_the_path_loss_of_friis_and_nothing_but_the_direct_path(tmp_path: Path) -> None:
     plan = small_plan("empty", num_transmitters=6, maps=False, paths=True)
-    found = open_dataset(generate_planned(plan, tmp_path / "empty.h5")).statistics()
+    found = statistics(open_dataset(generate_planned(plan, tmp_path / "empty.h5")))
     rows = found.rows
     assert [row["in_sight"] for row in rows] == [True] * len(plan.header.carrier_hz)
     for place, row in enumerate(rows):
@@ -172,33 +172,33 @@ def test_the_local_mean_is_the_mean_power_of_transmitters_on_the_disc(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("xfreqbench.tracing.paths._BLOCK_PATHS", 2)  # of several times as many
         np.testing.assert_allclose(dataset[:1].local_mean_db(radius_wavelengths), mean_db, atol=0.05)
-    assert dataset.local_mean_db(math.inf) == pytest.approx(-dataset.statistics().links.path_loss_db[:, 0])
+    assert dataset.local_mean_db(math.inf) == pytest.approx(-statistics(dataset).links.path_loss_db[:, 0])
 
 
 def test_traced_again_the_statistics_are_those_of_the_stored_paths(rooms: PasDataset, tmp_path: Path) -> None:
     plain = open_dataset(generate_planned(small_plan(maps=False), tmp_path / "plain.h5"))
-    stored, again = (dataset.statistics() for dataset in (rooms, plain))
+    stored, again = map(statistics, (rooms, plain))
     assert "stored" in stored.source
     assert "traced again" in again.source
     for one, other in zip(stored.rows, again.rows, strict=True):
         assert one == pytest.approx(other, rel=1e-5, nan_ok=True)
-    assert len(plain.statistics(num_tx=2).links.tx_index) == 2
+    assert len(statistics(plain, num_tx=2).links.tx_index) == 2
 
 
 def test_a_subset_has_statistics_of_its_own_samples(rooms: PasDataset) -> None:
     last = rooms.num_carriers - 1
-    own = rooms.subset(rooms.carrier_hz == rooms.header.carrier_hz[last]).statistics()
+    own = statistics(rooms.subset(rooms.carrier_hz == rooms.header.carrier_hz[last]))
     assert {row["carrier_ghz"] for row in own.rows} == {rooms.header.carrier_hz[last] / 1e9}
-    np.testing.assert_array_equal(own.links.path_loss_db[:, 0], rooms.statistics().links.path_loss_db[:, last])
-    assert rooms.subset([0]).statistics().links.tx_index.tolist() == [0]
+    np.testing.assert_array_equal(own.links.path_loss_db[:, 0], statistics(rooms).links.path_loss_db[:, last])
+    assert statistics(rooms.subset([0])).links.tx_index.tolist() == [0]
     with pytest.raises(DataError, match="shown to methods without its paths"):
-        rooms.isolated().statistics()
+        statistics(rooms.isolated())
 
 
 def test_data_of_others_have_statistics_without_a_room(rooms: PasDataset, tmp_path: Path) -> None:
     export_deepmimo(rooms.path, tmp_path / "scenarios")
     import_deepmimo(tmp_path / "scenarios", tmp_path / "imported.h5")
-    own, theirs = rooms.statistics(), open_dataset(tmp_path / "imported.h5").statistics()
+    own, theirs = statistics(rooms), statistics(open_dataset(tmp_path / "imported.h5"))
     assert np.isnan(theirs.volume_m3)
     assert "about the surfaces" in str(own)
     assert "about the surfaces" not in str(theirs)

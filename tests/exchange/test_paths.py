@@ -16,6 +16,7 @@ from tests.support.fuzzing.common import xfreqbench
 from tests.support.sionna_scenes import GRID, ONE_ELEMENT, simple_scenes
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.generate import generate
+from xfreqbench.data.statistics import statistics
 from xfreqbench.errors import DataError
 from xfreqbench.exchange.deepmimo import export_deepmimo
 from xfreqbench.exchange.path_arrays import export_sionna_npz
@@ -180,7 +181,7 @@ def test_a_table_has_powers_and_spreads_of_every_link(both: PasDataset, tmp_path
         np.testing.assert_allclose(rows.received_power_dbm, link.received_power_dbm(None if suffix == "csv" else 10.0))
         np.testing.assert_allclose(rows.received_power_dbm, rows.gain_db + sent_dbm)
         np.testing.assert_allclose(rows.local_mean_db, link.local_mean_db())
-        known = link.statistics().links
+        known = statistics(link).links
         np.testing.assert_allclose(rows.distance_m, np.repeat(known.distance_m, 2))
         for name in ("num_paths", "k_factor_db", "departure_zenith_spread_deg", "arrival_azimuth_spread_deg"):
             np.testing.assert_allclose(rows[name], getattr(known, name).ravel(), err_msg=name)

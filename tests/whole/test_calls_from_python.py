@@ -40,9 +40,9 @@ ANSWERED = {  # call: what is asked of its answer
     "xb.run(data, Mine, targets_ghz=10)": "answer[0].job.method == '__main__:Mine' and len(repr(answer)) < 200",
     "xb.run(data, {Nearest: {}}, targets_ghz=10)": "answer[0].job.method == 'nearest'",
     "repr(split)": "answer == \"<Split 'lofo-10GHz': 8 samples to train on, 4 to test on>\"",
-    "data.plot(np.int64(-1))": "len(answer.axes) == 2",
-    "data[3:].to_xarray().sel(sample=4).pas": "(answer == data.pas(4)[0]).all() and answer.tx == data.tx_index[4]",
-    "data.to_xarray().tx_position_m": "answer.units == 'm' and answer.dims == ('sample', 'axis')",
+    "xb.plot(data, np.int64(-1))": "len(answer.axes) == 2",
+    "xb.to_xarray(data[3:]).sel(sample=4).pas": "(answer == data.pas(4)[0]).all() and answer.tx == data.tx_index[4]",
+    "xb.to_xarray(data).tx_position_m": "answer.units == 'm' and answer.dims == ('sample', 'axis')",
     "beam.maps(data.cfr[:2].tolist())": "answer[0].shape == (2, 90, 360)",
     "xb.AngularGrid([0, 1], [0, 1, 2]).directions": "answer.shape == (2, 3, 3)",
 }
@@ -111,7 +111,15 @@ REFUSED = {  # call: what the error says
     "data.batches('a')": "size='a'",
     "data.batches(0)": "greater than 0",
 }
-INDEXED = ("data['pas']", "data[1.5]", "data[None]", "data.pas('a')", "data.plot('a')", "data[xb]", "data.torch()[99]")
+INDEXED = (
+    "data['pas']",
+    "data[1.5]",
+    "data[None]",
+    "data.pas('a')",
+    "xb.plot(data, 'a')",
+    "data[xb]",
+    "xb.to_torch(data)[99]",
+)
 PROGRAM = """
 import json, sys
 from pathlib import Path

@@ -315,7 +315,9 @@ def info(
 
         print(left_out(dataset, glints, seed))
     if statistics:
-        print(f"\n{dataset.statistics(seed=seed)}")
+        from xfreqbench.data.statistics import statistics as statistics_of
+
+        print(f"\n{statistics_of(dataset, seed=seed)}")
 
 
 @app.command(group=DATA, help_epilogue=example("plot office.h5 --tx 7 --carriers 2.4,24.25 -o maps.pdf"))

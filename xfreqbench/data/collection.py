@@ -16,7 +16,7 @@ from jaxtyping import Int
 from pydantic import ConfigDict, Field, PositiveInt, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass as record
 
-from xfreqbench.data.dataset import PasDataset, open_dataset, tensors_of, verify
+from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.rows import Rows, chosen_rows
 from xfreqbench.errors import ArgumentError, DataError, UnknownNameError
 from xfreqbench.system.arguments import FilePath, Texts, checked
@@ -192,13 +192,6 @@ class Collection:
         if num_rooms is not None and num_rooms > len(rooms):
             raise ArgumentError(f"{num_rooms} rooms are asked for, but there are {len(rooms)}. Generate more of them.")
         return replace(self, rooms=rooms[:num_rooms])
-
-    def torch(self) -> Any:
-        """All samples of all rooms, in turn, as a `torch.utils.data.Dataset` that a `DataLoader` takes.
-
-        Each is (map, tx_position_m, carrier_hz, cfr, room), as tensors; `room` is the room's number in this collection.
-        """
-        return tensors_of(self, "torch-rooms")
 
     def verify(self) -> None:
         """Read every byte of all data sets; raises `DataError` that names those that are missing, damaged or others."""

@@ -13,7 +13,6 @@ from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
-from importlib.metadata import entry_points
 from itertools import pairwise, product
 from math import prod
 from pathlib import Path
@@ -36,21 +35,9 @@ from xfreqbench.data.paths import (
 )
 from xfreqbench.data.recipe import OF_CONTENT, Recipe, job_differences, job_of
 from xfreqbench.data.rows import Rows, chosen_rows
-from xfreqbench.data.schema import (
-    AXIS,
-    AZIMUTH,
-    CARRIER,
-    ELEMENT,
-    ELEVATION,
-    SCHEMA,
-    TX,
-    DatasetHeader,
-    constants,
-    variables,
-)
-from xfreqbench.errors import DataError, XFreqBenchError
-from xfreqbench.maps.bartlett import BartlettBeam, power_of
-from xfreqbench.maps.drawing import map_figure
+from xfreqbench.data.schema import CARRIER, SCHEMA, TX, DatasetHeader, constants, variables
+from xfreqbench.errors import DataError
+from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import FAR_M, Scene
 from xfreqbench.scene.patches import components
@@ -60,9 +47,8 @@ from xfreqbench.system.remote import located
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray, NDArray
-from xfreqbench.units import format_ghz, format_ghz_list
+from xfreqbench.units import format_ghz_list
 
-TENSORS = "xfreqbench.tensors"  # group of entry points: what makes samples those of another library
 _SHOWN_CARRIERS = 12
 _WARNED_BYTES = 1e9  # of maps that are read at once
 
@@ -362,40 +348,6 @@ class PasDataset:
                 raise DataError(f"{self.path} is another file than when it was opened. Open it again.")
             yield file
 
-    def to_xarray(self) -> Any:
-        """The samples as an `xarray.Dataset` along `sample`, with the names, units and angles of the file.
-
-        Coordinates of a sample are its transmitter `tx`, its position (x, y, z) and its carrier. All maps are read: for
-        some, take a subset first, as in `data[:50].to_xarray()`. Raises as `pas` does, and `XFreqBenchError` where
-        xarray is not installed.
-        """
-        try:
-            import xarray
-        except ImportError as error:
-            raise XFreqBenchError("to_xarray needs xarray. Run: pip install xarray") from error
-        dims = {"pas": ("sample", ELEVATION, AZIMUTH), "cfr": ("sample", ELEMENT), "tx_position_m": ("sample", AXIS)}
-        of_file = {variable.name: variable for variable in variables(self.header, self.grid)}
-        where = {TX: self.tx_index, CARRIER: self.carrier_hz, "tx_position_m": self.tx_position_m}
-        names = ("line_of_sight", "peak_power", "num_paths", *(["cfr"] if self.header.channels else []))
-        of_samples = where | {name: getattr(self, name) for name in names} | {"pas": self.pas()}
-        about = {name: {"units": of_file[name].units, "long_name": of_file[name].long_name} for name in of_samples}
-        arrays = {name: (dims.get(name, "sample"), values, about[name]) for name, values in of_samples.items()}
-        angles = {ELEVATION: np.degrees(self.grid.elevation_rad), AZIMUTH: np.degrees(self.grid.azimuth_rad)}
-        axes = {name: (name, values, {"units": of_file[name].units}) for name, values in angles.items()}
-        title = {"scene": self.header.scene_name, "recipe": self.recipe.name, "source": str(self.path)}
-        shown = xarray.Dataset(arrays, axes | {AXIS: ["x", "y", "z"], "sample": self.rows}, title)
-        return shown.set_coords(list(where))
-
-    def plot(self, sample: int) -> Any:
-        """A Matplotlib figure of the map of a sample, by its number: a disc seen from the pole, in dB below the peak.
-
-        `figure.savefig("map.png")` writes it, and a notebook shows it. Raises as `pas` does.
-        """
-        one = self.subset(sample)
-        place = ", ".join(f"{metres:.2f}" for metres in one.tx_position_m[0])
-        title = f"{format_ghz(one.carrier_hz[0])}, transmitter at ({place}) m"
-        return map_figure(power_of(one.pas(), self.header.pas_kind)[0], self.grid, title)
-
     @checked
     def paths(self, sample: int) -> SamplePaths:
         """The paths of a sample to the array centre, by its number; negative ones count from the end.
@@ -428,17 +380,6 @@ class PasDataset:
             hidden, absent = "is shown to methods without its paths.", "holds no paths. Generate it with --paths."
             raise DataError(f"{self.path} {hidden if self.header.paths else absent}")
 
-    @checked
-    def statistics(self, num_tx: PositiveInt = 200, seed: int = 0) -> Any:
-        """Path loss, spreads, K and mechanisms by carrier, beside standards: `ChannelStatistics`, which can be printed.
-
-        They are of the stored paths, or of at most `num_tx` transmitters, drawn by `seed`, which are traced again.
-        Raises as `channel_statistics` does.
-        """
-        from xfreqbench.data.statistics import channel_statistics
-
-        return channel_statistics(self, num_tx, seed)
-
     def cir(self, sample: int) -> ImpulseResponse:
         """Delays and gains of a sample's paths at each array element, as spherical waves; raises as `paths` does."""
         return self.paths(sample).impulse_response(self.header.receiver)
@@ -458,15 +399,6 @@ class PasDataset:
         for start in range(0, len(self), size):
             rows = np.arange(start, min(start + size, len(self)))
             yield rows, self.pas(rows)
-
-    def torch(self) -> Any:
-        """The samples as a `torch.utils.data.Dataset`: each is (map, tx_position_m, carrier_hz, cfr), as tensors.
-
-        A `DataLoader` takes it, best with a `BatchSampler` for whole batches, and without workers, though forked and
-        spawned ones may read too. It is `TensorSamples` of `xfreqbench.methods.learning.samples`, found by its entry
-        point: this floor knows no PyTorch. Raises `DataError` where the installation lacks the entry point.
-        """
-        return tensors_of(self, "torch")
 
     def subset(self, rows: Rows | int) -> PasDataset:
         """The samples with some numbers, in that order: a view that copies nothing. Raises `IndexError`."""
@@ -546,13 +478,6 @@ def _require_meaning(tables: Mapping[str, NDArray[Any]]) -> None:
             raise ValueError(f"dataset {name!r} holds angles that do not ascend")
     if (np.abs(tables["tx_position_m"]) > FAR_M).any():
         raise ValueError(f"dataset 'tx_position_m' holds positions beyond {FAR_M:g} m")
-
-
-def tensors_of(data: object, name: str) -> Any:
-    """Samples for a loader of another library, by the entry point of that name; raises `DataError` without one."""
-    for offered in entry_points(group=TENSORS, name=name):
-        return offered.load()(data)
-    raise DataError(f"No installed package offers {TENSORS}. Install xfreqbench again: pip install xfreqbench")
 
 
 def _in_db(power: Float[FloatArray, "N"]) -> Float[FloatArray, "N"]:

@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from pydantic import InstanceOf, PositiveInt
 
 from xfreqbench.data import standards
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.retrace import traced_scene
 from xfreqbench.errors import DataError, SceneError
 from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.system.arguments import checked
 from xfreqbench.tracing.absorption import mean_absorption
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, REFRACTION, RaggedPaths
 from xfreqbench.tracing.solvers import tracer_of
@@ -173,8 +175,9 @@ def _aligned(rows: list[tuple[str, ...]]) -> str:
     return "\n".join(form.format(*row) for row in rows)
 
 
-def channel_statistics(dataset: PasDataset, num_tx: int = 200, seed: int = 0) -> ChannelStatistics:
-    """Statistics of a data set, or of the samples of a subset.
+@checked
+def statistics(dataset: InstanceOf[PasDataset], num_tx: PositiveInt = 200, seed: int = 0) -> ChannelStatistics:
+    """Path loss, spreads, K and mechanisms of a data set or a subset by carrier, beside standards; it can be printed.
 
     Paths are the stored ones, or those of at most `num_tx` transmitters, drawn by `seed`, that are traced again from
     the scene and the settings in the file. Raises `DataError` for a data set of maps alone, and `SceneError` where the

@@ -11,10 +11,9 @@ import torch
 from torch.utils.data import BatchSampler, DataLoader, Dataset, SequentialSampler
 
 from tests.support.synthetic import make_header, transmitters, write_dataset
-from xfreqbench.data import dataset as module
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.writer import PasWriter, SampleBlock
-from xfreqbench.errors import DataError
+from xfreqbench.methods.learning.samples import to_torch
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +30,7 @@ def require_equal(batch: object, dataset: PasDataset, numbers: list[int]) -> Non
 
 
 def test_it_is_what_torch_calls_a_data_set(dataset: PasDataset) -> None:
-    samples = dataset.torch()
+    samples = to_torch(dataset)
     assert isinstance(samples, Dataset)
     assert len(samples) == len(dataset) == 12
     sample = samples[7]
@@ -42,13 +41,13 @@ def test_it_is_what_torch_calls_a_data_set(dataset: PasDataset) -> None:
 
 
 def test_a_subset_has_its_own_numbers(dataset: PasDataset) -> None:
-    require_equal([tensor[None] for tensor in dataset[[9, 4]].torch()[1]], dataset, [4])
+    require_equal([tensor[None] for tensor in to_torch(dataset[[9, 4]])[1]], dataset, [4])
 
 
 @pytest.mark.parametrize("maps", [True, False])
 def test_a_loader_gives_batches(tmp_path: Path, maps: bool) -> None:
     dataset = write_dataset(tmp_path / "data.h5", maps=maps)
-    samples = dataset.torch()
+    samples = to_torch(dataset)
     whole = BatchSampler(SequentialSampler(samples), batch_size=5, drop_last=False)
     for loader in (DataLoader(samples, batch_size=None, sampler=whole), DataLoader(samples, batch_size=5)):
         batches = list(loader)
@@ -61,7 +60,7 @@ def test_a_loader_gives_batches(tmp_path: Path, maps: bool) -> None:
 @pytest.mark.parametrize("start", ["fork", pytest.param("spawn", marks=pytest.mark.slow)])
 def test_workers_read_what_this_process_reads(dataset: PasDataset, start: str) -> None:
     """Whether they inherit the data set or get it pickled, while this process reads the same file."""
-    loader = DataLoader(dataset[::2].torch(), batch_size=2, num_workers=2, multiprocessing_context=start)
+    loader = DataLoader(to_torch(dataset[::2]), batch_size=2, num_workers=2, multiprocessing_context=start)
     for number, batch in enumerate(loader):
         require_equal(batch, dataset, [4 * number, 4 * number + 2])
         dataset.pas([0])
@@ -72,12 +71,6 @@ def test_maps_alone_have_an_empty_channel(tmp_path: Path) -> None:
     with PasWriter(tmp_path / "data.h5", header) as writer:
         maps = np.ones((1, 3, 90, 360), np.float32)
         writer.append(transmitters(1), np.array([True]), SampleBlock.of_maps(maps))
-    (batch,) = DataLoader(open_dataset(tmp_path / "data.h5").torch(), batch_size=3)
+    (batch,) = DataLoader(to_torch(open_dataset(tmp_path / "data.h5")), batch_size=3)
     assert batch.cfr.shape == (3, 0)
     assert batch.map.shape == (3, 90, 360)
-
-
-def test_an_installation_without_the_entry_point_says_so(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "entry_points", lambda **_: [])
-    with pytest.raises(DataError, match="Install xfreqbench again"):
-        dataset.torch()

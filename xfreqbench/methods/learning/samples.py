@@ -1,4 +1,4 @@
-"""Samples as PyTorch takes them: `PasDataset.torch()` and `Collection.torch()` come here through entry points."""
+"""Samples of data sets and collections as PyTorch takes them."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from pydantic import InstanceOf
 from torch import Tensor
 from torch.utils.data import Dataset
 
 from xfreqbench.data.collection import Collection
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.rows import chosen_rows
+from xfreqbench.system.arguments import checked
 
 
 class TensorSample(NamedTuple):
@@ -90,3 +92,13 @@ class RoomSamples(Dataset[RoomSample]):
             for place, sample in zip(places.tolist(), samples, strict=True):
                 found[place] = RoomSample(*sample, torch.tensor(room))
         return [sample for sample in found if sample]
+
+
+@checked
+def to_torch(data: InstanceOf[PasDataset] | InstanceOf[Collection]) -> TensorSamples | RoomSamples:
+    """The samples as a `torch.utils.data.Dataset` on the CPU, of a collection those of all its rooms in turn.
+
+    A `DataLoader` takes it, best with a `BatchSampler` for whole batches, and without workers, though forked and
+    spawned ones may read too.
+    """
+    return RoomSamples(data) if isinstance(data, Collection) else TensorSamples(data)

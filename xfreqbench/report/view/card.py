@@ -22,6 +22,7 @@ from packaging.licenses import InvalidLicenseExpression, canonicalize_license_ex
 from xfreqbench.data.collection import FILE, Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.statistics import ChannelStatistics
+from xfreqbench.data.statistics import statistics as statistics_of
 from xfreqbench.errors import DataError, SceneError, XFreqBenchError
 from xfreqbench.report.view.describe import describe
 from xfreqbench.report.view.pictures import draw_maps, plot_statistics
@@ -128,7 +129,7 @@ def _of_dataset(path: Path, written: Path, tell: Callable[[str], None]) -> _Cont
     header = dataset.header
     with suppress(DataError, SceneError):  # of data that do not say how they were traced, or whose meshes are not here
         tell("computing statistics: where no paths are stored, those of 200 transmitters are traced again")
-        statistics = dataset.statistics()
+        statistics = statistics_of(dataset)
         plot_statistics(statistics, name, written / STATISTICS)
     _write_csv(written / TRANSMITTERS, _positions(dataset.tables["tx_position_m"]))
     _draw_maps(dataset, written)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from scipy.spatial import KDTree
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.statistics import MECHANISMS, ChannelStatistics
+from xfreqbench.data.statistics import MECHANISMS, ChannelStatistics, statistics
 from xfreqbench.errors import DataError, UnknownNameError, XFreqBenchError
 from xfreqbench.maps.bartlett import power_of
 from xfreqbench.maps.drawing import DISPLAY_RANGE_DB
@@ -159,9 +159,9 @@ def _draw_squares(
 def draw_statistics(file: Path, output: Path) -> None:
     """Draw a data set's statistics by carrier: the data as dots, the standards as lines, and the mechanisms as bars.
 
-    Raises as `channel_statistics` does, and `StorageError`.
+    Raises as `statistics` does, and `StorageError`.
     """
-    plot_statistics(open_dataset(file).statistics(), file.name, output)
+    plot_statistics(statistics(open_dataset(file)), file.name, output)
 
 
 @plain_style()
