@@ -215,13 +215,14 @@ def test_unknown_extensions_of_a_glb_are_refused_unless_they_are_about_looks_alo
 
 ACCESSOR = {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"}
 VIEW = {"buffer": 0, "byteLength": 48}
+EMPTY, DRACO = {"componentType": 5126, "count": 10**12, "type": "VEC3"}, "KHR_draco_mesh_compression"
 INDEX = {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"}
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "export it without compression"),
+        ({"extensionsRequired": [DRACO]}, "export it without compression"),
         ({"buffers": [{"uri": "../other.bin", "byteLength": 9}]}, "geometry is in another file"),
         ({"nodes": [{"mesh": 0, "skin": 0}]}, "skinned"),
         ({"nodes": [{"children": [0]}]}, "stands in two places"),
@@ -230,10 +231,13 @@ INDEX = {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"}
         ({"accessors": [ACCESSOR | {"count": 10**9}, INDEX]}, "cannot be read"),
         ({"accessors": [ACCESSOR | {"count": -1}, INDEX]}, "no sound size"),
         ({"accessors": [ACCESSOR | {"type": "VEC2"}, INDEX]}, "no position"),
-        ({"accessors": [{"componentType": 5126, "count": 10**12, "type": "VEC3"}, INDEX]}, "sparse or empty"),
+        ({"accessors": [EMPTY, INDEX]}, "sparse or empty"),
         ({"bufferViews": [VIEW | {"byteStride": 0}, VIEW]}, "sound size"),
         ({"bufferViews": [VIEW | {"byteOffset": 10**9}, VIEW]}, "cannot be read"),
         ({"accessors": [ACCESSOR | {"count": 2}, INDEX]}, "vertex 2 of 2"),
+        ({"accessors": [ACCESSOR, INDEX | {"count": 2}]}, "a list of triangles has 2 corners"),
+        ({"nodes": [{"mesh": 0, "matrix": [*np.eye(4).ravel()[:15], 2]}]}, r"the matrix of node None ends in \["),
+        ({"accessors": [EMPTY, INDEX], "extensionsUsed": [DRACO]}, f"compressed by {DRACO}; export without"),
         ({"materials": []}, "cannot be read"),
         ({"meshes": [{"primitives": [{"attributes": {}}]}]}, "it lacks 'POSITION'"),
         ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 1}]}]}, "holds no triangles"),

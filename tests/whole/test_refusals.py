@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.exchange.test_deepmimo_import import scenario_by_hand
 from tests.support.forked import command_line
 from tests.support.fuzzing.common import check_clean, check_refusal, refusal, untouched, xfreqbench
 from tests.support.fuzzing.hdf5 import Spoil, as_other_thing, sound_dataset, sound_records, spoilt_file
@@ -116,6 +117,42 @@ def test_a_grid_of_a_billion_transmitters_is_refused_by_its_number_before_it_tak
     grid = {**SMALL_SCENE["transmitters"], "step_m": [0.003, 0.003, 0.001]}
     message = refusal(lambda: parse_scene(toml_file({**SMALL_SCENE, "transmitters": grid})))
     assert f"1,003,003,001 positions, but {MAX_CANDIDATES:,} are the most" in str(message)
+
+
+FAILING = "/proc/self/mem"  # a regular file that can be opened, of which the system says that it cannot be read
+
+
+@pytest.mark.skipif(not Path(FAILING).is_file(), reason="needs Linux")
+@pytest.mark.parametrize(
+    ("words", "file"),
+    [
+        ("info odd.h5", "odd.h5"),
+        ("run --data odd.h5 --method nearest --results new", "odd.h5"),
+        ("score odd.h5 --data data.h5 --results new", "odd.h5"),
+        ("split --data data.h5 --targets 10 -o odd.h5", "odd.h5"),
+        ("report .", "records.jsonl"),
+        ("info rooms", "rooms/collection.json"),
+        (f"{IMPORT} -q", "maps/spectrum/00001.png"),
+        ("import city --from deepmimo -o x.h5", "city/power_t001_tx000_r000.npz"),
+        ("bench fingerprint ./small.toml -o odd.npz", "odd.npz"),
+        (SCENE, "wall.ply"),
+    ],
+)
+def test_a_disk_that_fails_is_not_called_damage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str, file: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_png_folder(Path("maps"))
+    scenario_by_hand(Path("city"))
+    Path("rooms").mkdir()
+    Path("data.h5").write_bytes(sound_dataset())
+    for name, text in {**MESH, "small.toml": toml_file(SMALL_SCENE)}.items():
+        Path(name).write_text(text, "utf-8")
+    Path(file).unlink(missing_ok=True)
+    Path(file).symlink_to(FAILING)
+    outcome = xfreqbench(*words.split())
+    assert outcome.code == 2
+    assert outcome.message.endswith(f"{file} cannot be read: Input/output error. Try again later.")
 
 
 @pytest.mark.parametrize("words", [["info"], ["generate", "empty", "-o"], ["report"], ["import", "-o", "x"]])

@@ -23,7 +23,8 @@ import numpy as np
 
 from xfreqbench.errors import DataError, StorageError, XFreqBenchError
 from xfreqbench.maps.bartlett import RANGE_TOLERANCE
-from xfreqbench.system.files import atomic_path, json_sha256, storage_errors
+from xfreqbench.system.array_files import MOST_COMPRESSED
+from xfreqbench.system.files import atomic_path, json_sha256, storage_errors, system_errors
 from xfreqbench.system.remote import RemotePath
 from xfreqbench.types import NDArray
 
@@ -36,7 +37,6 @@ _TRAILER = b"xfreqbench sha256 "
 _TRAILER_BYTES = len(_TRAILER) + 64
 _LEFT_OPEN = "already open for write"  # HDF5's words for a mark in the file, which a killed program leaves
 _READ_FAILURES = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
-_MOST_COMPRESSED = 1032  # bytes of data that one byte on disk can stand for: the limit of deflate
 _ONE = 65280  # as which 1 is packed: 255 · 256, so that 8-bit levels are exact; netCDF4 takes 65535 for a missing value
 _STEP = np.float32(1 / _ONE)
 
@@ -199,7 +199,7 @@ def _bytes_of(path: Path) -> AbstractContextManager[Any]:
 def read_errors(path: Path, what: str = "the file") -> Iterator[None]:
     """Turn any exception that h5py raises on damaged bytes into a `DataError` that names `what` was read.
 
-    Errors that speak of a lock or a missing permission become a `StorageError`.
+    Errors that do not speak of damaged data become a `StorageError`.
     """
     try:
         with _readable(path):
@@ -211,24 +211,26 @@ def read_errors(path: Path, what: str = "the file") -> Iterator[None]:
         if not (is_remote or isinstance(error, _READ_FAILURES)):
             raise
         fault = getattr(error, "strerror", None) or error
-        advice = f"Download it: xfreqbench.fetch({str(path)!r})" if is_remote else "Generate it again."
-        raise DataError(f"{path} is damaged or not HDF5: {what} cannot be read ({fault}). {advice}") from error
+        place, advice = f"{path} is damaged or not HDF5", "Generate it again."
+        if is_remote:
+            place, advice = str(path), f"Try again, or download it: xfreqbench.fetch({str(path)!r})"
+        raise DataError(f"{place}: {what} cannot be read ({fault}). {advice}") from error
 
 
 @contextmanager
 def _readable(path: Path) -> Iterator[None]:
-    """Turn errors that do not speak of damaged data, but of a lock or a missing permission, into a `StorageError`."""
-    try:
-        yield
-    except OSError as error:
-        if isinstance(error, PermissionError):
-            raise StorageError(f"{path} cannot be read: {error.strerror}. Correct its permissions.") from error
-        if isinstance(error, BlockingIOError) or _LEFT_OPEN in str(error):
-            raise StorageError(
-                f"{path} is in use: another program has opened it to write. Close it there and do the same again; if "
-                "that program was killed, run: h5clear -s FILE"
-            ) from error
-        raise
+    """Turn errors that do not speak of damaged data into a `StorageError`: of a lock, and those of `system_errors`."""
+    with system_errors(path):
+        try:
+            yield
+        except OSError as error:
+            if isinstance(error, BlockingIOError) or _LEFT_OPEN in str(error):
+                raise StorageError(
+                    f"{path} is in use: another program has opened it to write. Close it there and do the same again; "
+                    "if that program was killed, run: h5clear -s FILE"
+                ) from error
+            bytearray(_BLOCK_BYTES)  # HDF5 does not say that it found no memory, but this does
+            raise
 
 
 @contextmanager
@@ -289,7 +291,7 @@ def _dataset(file: Any, name: str) -> Any:
     stored = file.get(name)
     if not isinstance(stored, h5py.Dataset):
         raise ValueError(f"it has no dataset {name!r}")
-    if stored.nbytes > _MOST_COMPRESSED * stored.id.get_storage_size():
+    if stored.nbytes > MOST_COMPRESSED * stored.id.get_storage_size():
         raise ValueError(f"dataset {name!r} claims {stored.nbytes:,} bytes, more than the file can hold")
     return stored
 

@@ -13,12 +13,12 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.errors import SceneError
+from xfreqbench.errors import SceneError, StorageError
 from xfreqbench.scene.glb import read_glb
 from xfreqbench.scene.imported import ImportedShape, StatedMaterial, Triangles, bounded, slab_of
 from xfreqbench.scene.materials import SceneMaterial
 from xfreqbench.scene.polygons import triangulated
-from xfreqbench.system.files import read_bytes
+from xfreqbench.system.files import read_bytes, system_errors
 from xfreqbench.types import FloatArray
 
 MeshKind = Literal["ply", "stl", "obj"]
@@ -173,14 +173,14 @@ def read_scene(path: Path, materials: Mapping[str, SceneMaterial]) -> list[Impor
     be read.
     """
     try:
-        if path.suffix.lower() == ".obj":
-            parts = _obj_parts(read_bytes(path))
-            read = iter([part.shape(materials) for part in parts])
-        else:
-            read = read_glb(read_bytes(path), materials)
-        shapes = list(bounded(read, path))
+        with system_errors(path):
+            content, is_obj = read_bytes(path), path.suffix.lower() == ".obj"
+            read = (p.shape(materials) for p in _obj_parts(content)) if is_obj else read_glb(content, materials)
+            shapes = list(bounded(read, path))
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from error
+    except StorageError:
+        raise
     except Exception as error:  # of a file that may hold anything
         fault = getattr(error, "strerror", None) or error
         if isinstance(error, KeyError):

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import TypeAdapter, ValidationError
 
-from xfreqbench.errors import SceneError, UnknownNameError
+from xfreqbench.errors import SceneError, StorageError, UnknownNameError
 from xfreqbench.scene.imported import ImportedShape, StatedMaterial, Triangles, plain_name, slab_of
 from xfreqbench.scene.materials import (
     DEFAULT_THICKNESS_M,
@@ -34,7 +34,7 @@ from xfreqbench.scene.materials import (
     material_bands,
 )
 from xfreqbench.scene.mesh_files import MeshKind, read_mesh
-from xfreqbench.system.files import require_regular
+from xfreqbench.system.files import require_regular, system_errors
 from xfreqbench.types import FloatArray
 
 Element = ElementTree.Element
@@ -105,7 +105,10 @@ def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[Imp
                 file = path.parent / filename.replace("\\", "/")
             source = f"{path}: the mesh {file} of shape {name!r}"
             try:
-                triangles = meshes(file, cast("MeshKind", kind))
+                with system_errors(file):
+                    triangles = meshes(file, cast("MeshKind", kind))
+            except StorageError:
+                raise
             except Exception as error:  # trimesh raises whatever its parsers do
                 fault = getattr(error, "strerror", None) or error
                 raise SceneError(f"{source} cannot be read: {fault}.") from error
