@@ -12,8 +12,9 @@ file with a group for each split that was predicted, named as the split. These l
             group.attrs.update(split.attrs, method="mine")
 
 `pas` holds maps (N, E, A) in the order of `test_row`: numbers in [0, 1], peak 1, or all zero where the method hears
-nothing. MATLAB writes the same file from an array of size [A E N], because its first index is the last one in HDF5. A
-single split may be at the root of the file.
+nothing. Coordinates may be beside it by their names in the split file, which they are compared with. MATLAB writes the
+same file from an array of size [A E N], because its first index is the last one in HDF5. A single split may be at the
+root of the file.
 
 The attributes of a group, or of the root for all groups, are `split_sha256` (copied), `method` (a name) and, if they
 are known, `dataset_sha256` (copied), `fit_seconds`, `predict_ms_per_map`, `parameters`, `hardware`, `url` and `seed`.
@@ -27,7 +28,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, cast
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
@@ -274,6 +275,7 @@ def _part(
     for split in [known[name]] if name else known.values():
         if split.sha256 == declared.split_sha256:
             _check_dataset(place, group, (len(split.test), *dataset.grid.shape))
+            _check_coordinates(place, group, dataset, split)
             return Part(path, name, split, declared)
     raise DataError(
         f"{place}: split_sha256 {declared.split_sha256!r} is not that of {name or 'any split'} of "
@@ -324,5 +326,27 @@ def _check_dataset(place: str, group: Any, shape: tuple[int, int, int]) -> None:
         advice = f"{shape} backwards: MATLAB's first index is HDF5's last. Write permute({PAS}, [3 2 1])."
         needed = f"but {shape[0]} test rows need {shape}: row, elevation, azimuth."
         raise DataError(f"{place}: {PAS!r} has shape {found}, {advice if is_reversed else needed}")
+    if prod(group[PAS].chunks or ()) > prod(shape):
+        raise DataError(f"{place}: chunks of {PAS!r} are larger than all of it. Write it without chunks.")
     if dtype.kind not in "fiu":
         raise DataError(f"{place}: {PAS!r} has dtype {dtype}; it must be real numbers, best float32.")
+
+
+def _check_coordinates(place: str, group: Any, dataset: PasDataset, split: Split) -> None:
+    """Raise `DataError` where coordinates beside the maps are not those of the split, in its order."""
+    tested, grid = dataset.subset(split.test), dataset.grid
+    of_rows = {"row": split.test, "sample": split.test}
+    of_rows |= {name: getattr(tested, name) for name in ("tx_position_m", "carrier_hz")}
+    known = of_rows | {f"test_{name}": values for name, values in of_rows.items()}
+    known |= {"elevation_deg": np.degrees(grid.elevation_rad), "azimuth_deg": np.degrees(grid.azimuth_rad)}
+    for name in known.keys() & set(group):
+        expected, stored = known[name].ravel(), cast("Any", None if stands_elsewhere(group, name) else group[name])
+        if "not a netCDF variable" in str(stored is not None and stored.attrs.get("NAME")):
+            continue  # only an axis, without values
+        is_alike = getattr(stored, "size", None) == expected.size and stored.dtype.kind in "fiu"
+        tolerance = {"rtol": 0} if expected.dtype.kind == "i" else {"rtol": 1e-6, "atol": 1e-5}  # of single precision
+        if not (is_alike and np.allclose(np.ravel(stored), expected, **tolerance)):
+            raise DataError(
+                f"{place}: {name!r} is not that of the split file, so that maps would be taken for others. Write them "
+                "in its order: test_row, elevation_deg, azimuth_deg."
+            )
