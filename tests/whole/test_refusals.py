@@ -6,6 +6,7 @@ import gzip
 import os
 import subprocess
 import sys
+from datetime import datetime, tzinfo
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +21,11 @@ from tests.support.fuzzing.scenes import ASCII_PLY, EMPTY_SCENE, REFERRING_SCENE
 from tests.support.stored_records import make_record
 from xfreqbench.cli.options import parse_targets_ghz
 from xfreqbench.data.dataset import open_dataset
+from xfreqbench.errors import XFreqBenchError
 from xfreqbench.runs.checkpoints import CheckpointFolder
-from xfreqbench.runs.records import append, read
+from xfreqbench.runs.records import append, read, utc_now
 from xfreqbench.scene.model import MAX_CANDIDATES, parse_scene
+from xfreqbench.system import machine
 
 
 def test_every_file_a_command_could_write_over_is_refused(tmp_path: Path) -> None:
@@ -206,6 +209,21 @@ def test_numbers_of_thousands_of_digits_are_refused(tmp_path: Path) -> None:
         assert outcome.code == 2
         check_clean(outcome, name.removeprefix("--"))
     check_clean(xfreqbench("bench", "render", "--gaussians", "9" * 5000), "--gaussians")
+
+
+def test_a_clock_past_the_year_9999_is_said_before_any_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class PastIt(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> PastIt:
+            raise ValueError("year 10000 is out of range")
+
+    monkeypatch.setattr(machine, "datetime", PastIt)
+    with untouched(tmp_path):
+        outcome = xfreqbench("generate", "empty", "--freqs", "1", "-o", tmp_path / "x.h5", "-q")
+    assert outcome.code == 2
+    check_clean(outcome, "clock of this machine is past the year 9999")
+    with pytest.raises(XFreqBenchError, match="Set it right"):
+        utc_now()
 
 
 def test_an_empty_list_of_targets_is_not_the_default() -> None:

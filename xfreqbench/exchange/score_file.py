@@ -339,7 +339,7 @@ def _check_coordinates(place: str, group: Any, dataset: PasDataset, split: Split
     of_rows |= {name: getattr(tested, name) for name in ("tx_position_m", "carrier_hz")}
     known = of_rows | {f"test_{name}": values for name, values in of_rows.items()}
     known |= {"elevation_deg": np.degrees(grid.elevation_rad), "azimuth_deg": np.degrees(grid.azimuth_rad)}
-    for name in known.keys() & set(group):
+    for name in sorted(known.keys() & set(group)):
         expected, stored = known[name].ravel(), cast("Any", None if stands_elsewhere(group, name) else group[name])
         if "not a netCDF variable" in str(stored is not None and stored.attrs.get("NAME")):
             continue  # only an axis, without values

@@ -15,13 +15,13 @@ import stat
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
 from xfreqbench.errors import InUseError, OutputExistsError, StorageError
+from xfreqbench.system.machine import now
 
 _LONGEST_BATCH = 256  # bytes of names within the folder of batches of an output
 _LOCK_POLL_S = 0.02  # between two tries for a lock that another process holds
@@ -301,7 +301,7 @@ def sole_worker(lock: Path, output: Path) -> Iterator[str]:
             raise InUseError(
                 f"{output} is being written by {holder}. Wait until that one ends, or choose another output."
             ) from error
-        since = datetime.now().astimezone().isoformat(" ", "seconds")
+        since = now().isoformat(" ", "seconds")
         holder = f"process {os.getpid()} on {platform.node()}, since {since}"
         is_first = held.lock_counter == 1
     try:
