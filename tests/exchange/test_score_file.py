@@ -227,7 +227,10 @@ def in_a_chunk_of_gigabytes(file) -> None:
 
 REFUSED = {
     "text": (lambda path: path.write_text("pas"), "not HDF5"),
-    "cut": (lambda path: path.write_bytes(path.read_bytes()[:5000]), "not written to its end"),
+    "cut": (
+        lambda path: path.write_bytes(path.read_bytes()[:5000]),
+        "is damaged, cut short or not HDF5.*Write it again",
+    ),
     "absent": (lambda path: path.unlink(), "There is no file"),
     "empty": (edited(lambda file: [file.pop(name) for name in SPLITS]), "is empty"),
     "group": (edited(lambda file: file.move("lofo-77GHz", "lofo-77")), r"Did you mean 'lofo-77GHz'"),
@@ -235,15 +238,18 @@ REFUSED = {
     "soft link": (edited(lambda file: file.update({"lofo-37GHz": h5py.SoftLink("/lofo-77GHz")})), "is no group"),
     "root too": (edited(lambda file: file.create_dataset("pas", data=[1])), "at its root and group"),
     "no maps": (edited(lambda file: file.move("lofo-77GHz/pas", "lofo-77GHz/PAS")), "it holds PAS"),
-    "maps a group": (edited(lambda file: in_place_of_the_maps(file).create_group("pas")), "'pas' is a group"),
+    "maps a group": (
+        edited(lambda file: in_place_of_the_maps(file).create_group("pas")),
+        "'pas' is a link, no dataset, or",
+    ),
     "link": (
         elsewhere(lambda group, other: group.update(pas=h5py.ExternalLink(other.name, "lofo-77GHz/pas"))),
-        "link to data elsewhere",
+        "'pas' is a link, no dataset, or",
     ),
-    "virtual": (elsewhere(put_virtual), "link to data elsewhere"),
+    "virtual": (elsewhere(put_virtual), "'pas' is a link, no dataset, or"),
     "backwards": (maps(lambda each: each.T), r"\(360, 90, 5\).*permute\(pas, \[3 2 1\]\)"),
     "rows": (maps(lambda each: each[:4]), r"shape \(4, 90, 360\), but 5 test rows need \(5, 90, 360\)"),
-    "chunk": (edited(in_a_chunk_of_gigabytes), "chunks of 'pas' are larger than all of it"),
+    "chunk": (edited(in_a_chunk_of_gigabytes), "'pas' is .* in chunks far larger than all of it"),
     "scalar": (maps(lambda each: 1.0), r"shape \(\)"),
     "complex": (maps(lambda each: each.astype(complex)), "real numbers"),
     "texts": (maps(lambda each: np.full(each.shape, b"1")), "real numbers"),

@@ -196,7 +196,7 @@ def _bytes_of(path: Path) -> AbstractContextManager[Any]:
 
 
 @contextmanager
-def read_errors(path: Path, what: str = "the file") -> Iterator[None]:
+def read_errors(path: Path, what: str = "the file", advice: str = "Generate it again.") -> Iterator[None]:
     """Turn any exception that h5py raises on damaged bytes into a `DataError` that names `what` was read.
 
     Errors that do not speak of damaged data become a `StorageError`.
@@ -211,7 +211,7 @@ def read_errors(path: Path, what: str = "the file") -> Iterator[None]:
         if not (is_remote or isinstance(error, _READ_FAILURES)):
             raise
         fault = getattr(error, "strerror", None) or error
-        place, advice = f"{path} is damaged or not HDF5", "Generate it again."
+        place = f"{path} is damaged, cut short or not HDF5"
         if is_remote:
             place, advice = str(path), f"Try again, or download it: xfreqbench.fetch({str(path)!r})"
         raise DataError(f"{place}: {what} cannot be read ({fault}). {advice}") from error
@@ -234,19 +234,12 @@ def _readable(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def open_foreign(path: Path) -> Iterator[Any]:
-    """Open an HDF5 file that another program wrote, to read; raises `DataError` if it is missing or not HDF5."""
+def open_foreign(path: Path, what: str = "the file") -> Iterator[Any]:
+    """Open an HDF5 file that another program wrote, to read `what` of it; raises `DataError` as `read_errors` does."""
     if not path.is_file():
         raise DataError(f"There is no file {path}. Correct the path.")
-    try:
-        with _readable(path):
-            file = h5py.File(path, "r")
-    except OSError as error:
-        raise DataError(
-            f"{path} is not HDF5, or was not written to its end ({error.strerror or error}). Write it again with "
-            "h5py, h5write of MATLAB, or another HDF5 library."
-        ) from error
-    with file:
+    advice = "Write it again with h5py, h5write of MATLAB, or another HDF5 library."
+    with read_errors(path, what, advice), h5py.File(path, "r") as file:
         yield file
 
 
@@ -264,6 +257,14 @@ def stands_elsewhere(group: Any, name: str) -> bool:
         return True
     item = group[name]
     return isinstance(item, h5py.Dataset) and bool(item.is_virtual or item.external)
+
+
+def foreign_dataset(group: Any, name: str) -> Any:
+    """A dataset that a group holds itself; None for anything else, and where its chunks are far larger than it."""
+    item = None if stands_elsewhere(group, name) else group[name]
+    if not isinstance(item, h5py.Dataset) or item.shape is None:
+        return None
+    return item if prod(item.chunks or ()) * item.dtype.itemsize <= max(item.nbytes, _BLOCK_BYTES) else None
 
 
 def read_array(file: Any, name: str) -> NDArray[Any]:

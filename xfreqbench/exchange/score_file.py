@@ -28,14 +28,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.fingerprint import require_fingerprint
-from xfreqbench.data.hdf5 import PACKED, is_group, open_foreign, packed, read_errors, stands_elsewhere
+from xfreqbench.data.hdf5 import PACKED, foreign_dataset, is_group, open_foreign, packed, stands_elsewhere
 from xfreqbench.data.splits import PROTOCOL_VERSION, PROTOCOLS, VALIDATIONS, Split, make_splits
 from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
 from xfreqbench.maps.metrics import METRICS_VERSION
@@ -94,12 +94,10 @@ class Part:
     def batches(self, grid_shape: tuple[int, int]) -> Iterator[MapBatch]:
         """Rows of the data set and their maps, a batch at a time; raises `DataError` naming map and value."""
         test = self.split.test
-        with open_foreign(self.path) as file:
+        with open_foreign(self.path, f"the maps of {self.split.name!r}") as file:
             for start in range(0, len(test), BATCH_SIZE):
                 rows = test[start : start + BATCH_SIZE]
-                with read_errors(self.path, f"the maps of {self.split.name!r}"):
-                    group = file[self.group] if self.group else file
-                    values = np.asarray(group[PAS][start : start + BATCH_SIZE])
+                values = np.asarray((file[self.group] if self.group else file)[PAS][start : start + BATCH_SIZE])
                 if values.shape != (len(rows), *grid_shape):
                     raise DataError(f"{self.path} was changed while it was read. Run the same command again.")
                 if fault := fault_of_maps(values):
@@ -217,7 +215,7 @@ def read_parts(path: Path, dataset: PasDataset, method: str | None = None) -> li
     `method` replaces the method's name that the file gives. Raises `DataError` and `UnknownNameError`.
     """
     known = known_splits(dataset)
-    with open_foreign(path) as file, read_errors(path):
+    with open_foreign(path) as file:
         return [_part(path, file, name, dataset, known, method) for name in _groups(path, file, dataset, known)]
 
 
@@ -315,21 +313,19 @@ def _plain(value: Any) -> Any:
 def _check_dataset(place: str, group: Any, shape: tuple[int, int, int]) -> None:
     """Raise `DataError` unless `pas` is a dataset of real numbers with that shape, in the file itself."""
     if PAS not in list(group):
-        raise DataError(f"{place}: there is no dataset {PAS!r}; it holds {', '.join(group) or 'nothing'}.")
-    if stands_elsewhere(group, PAS):
-        raise DataError(f"{place}: {PAS!r} is a link to data elsewhere. Write the maps into the file itself.")
-    if is_group(group[PAS]):
-        raise DataError(f"{place}: {PAS!r} is a group. Make it a dataset of shape {shape}.")
-    found, dtype = tuple(group[PAS].shape or ()), group[PAS].dtype
-    if found != shape:
-        is_reversed = found == shape[::-1]
+        raise DataError(f"{place}: there is no dataset {PAS!r}; it holds {', '.join([*group][:9]) or 'nothing'}.")
+    if (stored := foreign_dataset(group, PAS)) is None:
+        raise DataError(
+            f"{place}: {PAS!r} is a link, no dataset, or in chunks far larger than all of it. Write it as a dataset of "
+            f"shape {shape} into the file itself."
+        )
+    if stored.shape != shape:
+        is_reversed = stored.shape == shape[::-1]
         advice = f"{shape} backwards: MATLAB's first index is HDF5's last. Write permute({PAS}, [3 2 1])."
         needed = f"but {shape[0]} test rows need {shape}: row, elevation, azimuth."
-        raise DataError(f"{place}: {PAS!r} has shape {found}, {advice if is_reversed else needed}")
-    if prod(group[PAS].chunks or ()) > prod(shape):
-        raise DataError(f"{place}: chunks of {PAS!r} are larger than all of it. Write it without chunks.")
-    if dtype.kind not in "fiu":
-        raise DataError(f"{place}: {PAS!r} has dtype {dtype}; it must be real numbers, best float32.")
+        raise DataError(f"{place}: {PAS!r} has shape {stored.shape}, {advice if is_reversed else needed}")
+    if stored.dtype.kind not in "fiu":
+        raise DataError(f"{place}: {PAS!r} has dtype {stored.dtype}; it must be real numbers, best float32.")
 
 
 def _check_coordinates(place: str, group: Any, dataset: PasDataset, split: Split) -> None:
@@ -340,10 +336,10 @@ def _check_coordinates(place: str, group: Any, dataset: PasDataset, split: Split
     known = of_rows | {f"test_{name}": values for name, values in of_rows.items()}
     known |= {"elevation_deg": np.degrees(grid.elevation_rad), "azimuth_deg": np.degrees(grid.azimuth_rad)}
     for name in sorted(known.keys() & set(group)):
-        expected, stored = known[name].ravel(), cast("Any", None if stands_elsewhere(group, name) else group[name])
-        if "not a netCDF variable" in str(stored is not None and stored.attrs.get("NAME")):
+        expected, stored = known[name].ravel(), foreign_dataset(group, name)
+        if stored is not None and "not a netCDF variable" in str(stored.attrs.get("NAME")):
             continue  # only an axis, without values
-        is_alike = getattr(stored, "size", None) == expected.size and stored.dtype.kind in "fiu"
+        is_alike = stored is not None and stored.size == expected.size and stored.dtype.kind in "fiu"
         tolerance = {"rtol": 0} if expected.dtype.kind == "i" else {"rtol": 1e-6, "atol": 1e-5}  # of single precision
         if not (is_alike and np.allclose(np.ravel(stored), expected, **tolerance)):
             raise DataError(

@@ -173,7 +173,7 @@ def read_scene(path: Path, materials: Mapping[str, SceneMaterial]) -> list[Impor
     be read.
     """
     try:
-        with system_errors(path):
+        with system_errors(path), np.errstate(all="ignore"):  # numbers that no float holds are refused later
             content, is_obj = read_bytes(path), path.suffix.lower() == ".obj"
             read = (p.shape(materials) for p in _obj_parts(content)) if is_obj else read_glb(content, materials)
             shapes = list(bounded(read, path))
