@@ -238,6 +238,7 @@ INDEX = {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"}
         ({"accessors": [ACCESSOR, INDEX | {"count": 2}]}, "a list of triangles has 2 corners"),
         ({"nodes": [{"mesh": 0, "matrix": [*np.eye(4).ravel()[:15], 2]}]}, r"the matrix of node None ends in \["),
         ({"accessors": [EMPTY, INDEX], "extensionsUsed": [DRACO]}, f"compressed by {DRACO}; export without"),
+        ({"nodes": [{"mesh": 0, "scale": [1e308] * 3, "translation": [1e308] * 3}]}, "not finite, or beyond"),
         ({"materials": []}, "cannot be read"),
         ({"meshes": [{"primitives": [{"attributes": {}}]}]}, "it lacks 'POSITION'"),
         ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 1}]}]}, "holds no triangles"),
@@ -253,9 +254,14 @@ def test_many_nodes_of_one_large_mesh_are_refused_before_they_fill_the_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(imported, "MAX_TRIANGLES", 99_999)
+    monkeypatch.setattr(imported, "MAX_SHAPES", 1000)
     nodes: list[dict[str, Any]] = [{"mesh": 0, "children": list(range(1, 100))}, *({"mesh": 0} for _ in range(99))]
     with pytest.raises(SceneError, match="more than 99,999 triangles"):
         meshes_of(tmp_path, "many.glb", glb_bytes(nodes, [(np.zeros((1000, 3)), [0, 1, 2], TRIANGLES, "itu_wood")]))
+    places = [(np.zeros((1001, 3)), "<f4")]
+    node = {"extensions": {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 2}}}}
+    with pytest.raises(SceneError, match="more than 1,000 objects"):
+        meshes_of(tmp_path, "many.glb", changed_square(places, node))
 
 
 def test_a_glb_that_is_cut_or_nests_without_end_is_refused(tmp_path: Path) -> None:
