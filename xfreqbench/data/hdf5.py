@@ -296,13 +296,9 @@ def text_attributes(file: Any) -> dict[str, str]:
 
 def verify_sealed(path: Path, schema: str) -> None:
     """Hash every byte of a file, and raise `DataError` naming the first damaged part."""
-    with open_sealed(path, schema):
-        pass
-    with read_errors(path):
-        is_whole = _is_whole(path)
-    if is_whole:
-        return
     with open_sealed(path, schema) as file:
+        if _is_whole(path):
+            return
         for name in _dataset_names(file):
             with read_errors(path, f"dataset {name!r}"):
                 if _digest_of(file[name], _blocks(_dataset(file, name))) != _text(file[name], "sha256"):

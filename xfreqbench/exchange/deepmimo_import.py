@@ -186,8 +186,7 @@ def _chosen(folder: Path, pair: str | None, stations: set[int]) -> str:
         if pair not in found:
             raise UnknownNameError("pair of sets", pair, found)
         return pair
-    users = [name for name in found if name.rpartition("r")[2].isdigit()]
-    users = [name for name in users if int(name.rpartition("r")[2]) not in stations]
+    users = [name for name in found if (end := name.rpartition("r")[2]).isdecimal() and int(end) not in stations]
     if len(users) != 1:
         raise DataError(
             f"{folder} holds {'no table of powers' if not found else 'the pairs ' + ', '.join(found)}; "

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import TypeAdapter, ValidationError
 
-from xfreqbench.errors import SceneError, StorageError, UnknownNameError
+from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.imported import ImportedShape, StatedMaterial, Triangles, plain_name, slab_of
 from xfreqbench.scene.materials import (
     DEFAULT_THICKNESS_M,
@@ -33,8 +33,8 @@ from xfreqbench.scene.materials import (
     SceneMaterial,
     material_bands,
 )
-from xfreqbench.scene.mesh_files import MeshKind, read_mesh
-from xfreqbench.system.files import require_regular, system_errors
+from xfreqbench.scene.mesh_files import MeshKind, mesh_errors, read_mesh
+from xfreqbench.system.files import require_regular
 from xfreqbench.types import FloatArray
 
 Element = ElementTree.Element
@@ -104,14 +104,8 @@ def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[Imp
             if "\\" in filename and not file.exists():  # as Windows writes it
                 file = path.parent / filename.replace("\\", "/")
             source = f"{path}: the mesh {file} of shape {name!r}"
-            try:
-                with system_errors(file):
-                    triangles = meshes(file, cast("MeshKind", kind))
-            except StorageError:
-                raise
-            except Exception as error:  # trimesh raises whatever its parsers do
-                fault = getattr(error, "strerror", None) or error
-                raise SceneError(f"{source} cannot be read: {fault}.") from error
+            with mesh_errors(source, file):  # trimesh raises whatever its parsers do
+                triangles = meshes(file, cast("MeshKind", kind))
         placed = _placed(triangles, shape, where)
         if shape.find("./boolean[@name='flip_normals'][@value='true']") is not None:
             placed = placed._replace(triangles=placed.triangles[:, ::-1])
