@@ -159,7 +159,7 @@ def retold(old: str, new: str) -> Callable[[Path], None]:
         (change("delay", lambda table: table + 5e-8), "does not fit the lengths of 3 of 3 paths"),
         (change("power", lambda table: 10 ** (table / 10)), "do not lie between -600 and 0"),  # no dB
         (change("power", lambda table: table * np.nan), "holds no path"),
-        (change("power", lambda table: table + 30), r"power_t.*: 3 of 3 paths have over 20 dB more than waves in free"),
+        (change("power", lambda table: table + 30), r"power_t.*: 3 of 3 paths are over 20 dB stronger than a wave"),
         (change("inter", lambda table: (table * 21111111).astype("f4")), "from 16,777,216 on in float32, which rounds"),
         (change("inter", lambda table: (table * 2111).astype("f2")), "from 2,048 on in float16, which rounds"),
     ],

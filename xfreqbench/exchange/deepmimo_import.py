@@ -272,9 +272,9 @@ def _require_geometry(scenario: Scenario, elevations: Elevations) -> None:
     is_strong = gain > 10 ** (_MOST_GAIN_DB / 20)
     if is_wrong(is_strong):
         raise DataError(
-            f"{scenario.files['power']}: {is_strong.sum()} of {len(user)} paths have over {_MOST_GAIN_DB} dB more than "
-            "waves in free space over their lengths. Convert the scenario again, with powers in dB of received over "
-            "transmitted power; in dBm of 1 W they are 30 dB more."
+            f"{scenario.files['power']}: {is_strong.sum()} of {len(user)} paths are over {_MOST_GAIN_DB} dB stronger "
+            "than a wave in free space over the same length. Convert the scenario again, with powers in dB of received "
+            "over transmitted power; in dBm of 1 W they are 30 dB more."
         )
     instead: Elevations = "horizon" if elevations == "zenith" else "zenith"
     for end, num_off in faults(elevations).items():

@@ -70,7 +70,8 @@ def unpacked(path: Path, content: bytes, names: Iterable[str] | None, advice: st
     Raises `DataError` with the file's name and `advice`, and `StorageError` where memory does not hold them.
     """
     if content.startswith(_MATLAB_7_3):
-        raise DataError(f"{path} is HDF5, as MATLAB 7.3 saves. Save it as version 7: save(FILE, VARIABLES, '-v7').")
+        advice = "Save it again as version 7: save(FILE, VARIABLES, '-v7')."
+        raise DataError(f"{path} is of MATLAB 7.3, which is HDF5 and not read here. {advice}")
     with system_errors(path):
         try:
             with warnings.catch_warnings():
@@ -103,9 +104,8 @@ def _of_member(content: bytes) -> NDArray[Any]:
     shape, is_fortran, dtype = _HEADERS[npy.read_magic(file)](file)
     if dtype.hasobject or dtype.itemsize * math.prod(shape) != len(content) - file.tell():
         raise ValueError(shape)
-    return np.frombuffer(bytearray(file.getbuffer()[file.tell() :]), dtype).reshape(
-        shape, order="F" if is_fortran else "C"
-    )
+    array = np.frombuffer(bytearray(memoryview(content)[file.tell() :]), dtype)
+    return array.reshape(shape, order="F" if is_fortran else "C")
 
 
 def _of_matlab(content: bytes, names: Iterable[str]) -> dict[str, NDArray[Any]]:
