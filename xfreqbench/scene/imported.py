@@ -102,11 +102,10 @@ def bounded(shapes: Iterable[ImportedShape], path: Path) -> Iterator[ImportedSha
     """The shapes of a file, one after another; raises `SceneError` once they are more than any solver can trace."""
     size = 0
     for number, shape in enumerate(shapes):
-        if number == MAX_SHAPES:
-            raise SceneError(f"it holds more than {MAX_SHAPES:,} objects. Join those of one material.")
         size += max(map(len, shape.triangles))
-        if size > MAX_TRIANGLES:
-            raise SceneError(f"it holds more than {MAX_TRIANGLES:,} triangles. Simplify its meshes.")
+        if size > MAX_TRIANGLES or number == MAX_SHAPES:
+            most = f"{MAX_TRIANGLES:,} triangles or {MAX_SHAPES:,} objects"
+            raise SceneError(f"it holds more than {most}. Simplify its meshes, and join those of one material.")
         yield shape
 
 

@@ -39,10 +39,7 @@ def data_folder() -> Path:
 
 def _home_folders() -> list[Path]:
     """The user's folders for caches and for settings; relative ones where there is no home."""
-    try:
-        home = Path.home()
-    except RuntimeError:
-        home = Path()
+    home = Path(os.path.expanduser("~"))  # which stays "~" where there is none
     places = {"XDG_CACHE_HOME": ".cache", "XDG_CONFIG_HOME": ".config"}
     return [Path(os.environ.get(variable) or home / name) for variable, name in places.items()]
 
