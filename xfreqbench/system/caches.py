@@ -39,7 +39,10 @@ def data_folder() -> Path:
 
 def _home_folders() -> list[Path]:
     """The user's folders for caches and for settings; relative ones where there is no home."""
-    home = Path(os.path.expanduser("~"))  # which stays "~" where there is none
+    try:
+        home = Path.home()
+    except RuntimeError:
+        home = Path()
     places = {"XDG_CACHE_HOME": ".cache", "XDG_CONFIG_HOME": ".config"}
     return [Path(os.environ.get(variable) or home / name) for variable, name in places.items()]
 
