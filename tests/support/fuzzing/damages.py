@@ -161,7 +161,7 @@ def _scenarios(root: str, write: Callable[..., bytes]) -> st.SearchStrategy[Dama
 def _collections() -> st.SearchStrategy[Damage]:
     """What describes the rooms spoilt, with names of files that lead elsewhere, or a room of other bytes."""
     told = json.loads(sound_files()["rooms/collection.json"])
-    names = st.sampled_from(["../data/room.toml.h5", "/etc/passwd", "a/../one.h5", "one.h5/x.h5", "x" * 300 + ".h5"])
+    names = st.sampled_from(["../data/room.toml.h5", "/etc/passwd", "one.h5/x.h5", "x" * 300 + "/one.h5"])
     elsewhere = names.map(lambda name: {**told, "rooms": [{**told["rooms"][0], "file": name}]})
     described = (spoilt_json(told) | elsewhere).map(json.dumps).map(str.encode)
     bytes_ = cut_or_flipped(sound_files()["rooms/collection.json"]) | st.none()
