@@ -12,7 +12,7 @@ XFreqBenchError            any of these; its message says what was given, what i
 ├── MethodError            a method cannot be imported, or breaks the `Method` contract
 │   └── DivergenceError    while a method was fitted, its loss, gradients or parameters became infinite or NaN
 ├── RunsFailedError        some of several runs failed; it holds the error of each
-├── StorageError           the output cannot be written: no space, no permission, or a folder in its place
+├── StorageError           a file cannot be written or read: no space, no permission, no memory, a failing disk
 │   └── InUseError         another process is writing it
 ├── ClusterError           workers cannot be reached, differ from this process, or end while they work
 └── MissingLLVMError       there is no LLVM library that Dr.Jit can use
@@ -119,7 +119,7 @@ class DivergenceError(MethodError):
 
 
 class StorageError(XFreqBenchError):
-    """The output cannot be written: no space, no permission, or a folder in its place."""
+    """A file cannot be written, or the system cannot read it: no space, no permission, no memory, a failing disk."""
 
 
 class InUseError(StorageError):

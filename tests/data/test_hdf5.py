@@ -13,8 +13,9 @@ import pytest
 from tests.support.damage import data_offset, flip
 from tests.support.plans import small_plan
 from tests.support.synthetic import write_dataset
+from xfreqbench.data import hdf5
 from xfreqbench.data.dataset import holds_same_job, open_dataset, verify
-from xfreqbench.data.hdf5 import open_foreign
+from xfreqbench.data.hdf5 import open_foreign, read_errors
 from xfreqbench.errors import DataError, StorageError
 
 TABLES = (
@@ -86,3 +87,20 @@ def test_a_file_that_another_program_has_opened_to_write_is_in_use_not_damaged(t
     )
     with pytest.raises(StorageError, match="is in use"):  # as a mark in the file says, which the killed program left
         open_dataset(path)
+
+
+def test_too_little_memory_is_not_called_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    dataset = write_dataset(tmp_path / "data.h5", num_tx=2, carriers_ghz=(5.0,))
+
+    def no_memory(*_: object) -> None:
+        raise MemoryError
+
+    told = r"data\.h5 cannot be read: there is not enough memory"
+    with pytest.raises(StorageError, match=told), read_errors(dataset.path):
+        no_memory()
+    with h5py.File(dataset.path) as file:
+        chunk = file["pas"].id.get_chunk_info(0).byte_offset
+    flip(dataset.path, chunk)
+    monkeypatch.setattr(hdf5, "bytearray", no_memory, raising=False)
+    with pytest.raises(StorageError, match="not enough memory"):  # of which HDF5 says the same as of a wrong sum
+        dataset.pas(0)

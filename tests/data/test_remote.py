@@ -16,6 +16,7 @@ from xfreqbench.data.collection import FILE, Room, write_collection
 from xfreqbench.data.dataset import verify
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.errors import DataError
+from xfreqbench.system import remote
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +78,9 @@ def test_servers_that_fail_or_give_no_ranges_are_errors_of_ours(
         xb.open_dataset(f"{server.url}?whole")
 
 
-def test_a_collection_is_read_from_afar(server: Server, local: Path, tmp_path: Path) -> None:
+def test_a_collection_is_read_from_afar(
+    server: Server, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     data = xb.open_dataset(local)
     told = {"name": "rooms", "family": {}, "options": {}, "carrier_hz": data.header.carrier_hz.tolist()}
     write_collection(tmp_path, [Room(1, "office", "served.h5", data.file_sha256, data.header.num_tx)], **told)
@@ -85,6 +88,9 @@ def test_a_collection_is_read_from_afar(server: Server, local: Path, tmp_path: P
     rooms = xb.open_collection(server.url.removesuffix("/served.h5"))
     assert np.array_equal(rooms[0].pas(61), data.pas(61))
     assert len(pickle.loads(pickle.dumps(rooms))) == 1
+    with monkeypatch.context() as patch, pytest.raises(DataError, match="bytes, more than 10"):
+        patch.setattr(remote, "MOST_BYTES", 10)
+        xb.open_collection(server.url.removesuffix("/served.h5"))
     server.is_failing = True
     with pytest.raises(DataError, match=r"other/collection\.json cannot be opened"):
         xb.open_collection(server.url.replace("served.h5", "other"))

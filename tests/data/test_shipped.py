@@ -10,6 +10,7 @@ import pytest
 import xfreqbench as xb
 from tests.support.web import Server, served
 from xfreqbench.data import shipped
+from xfreqbench.data.dataset import verify
 from xfreqbench.data.fingerprint import compare_fingerprint
 from xfreqbench.data.generate import plan_of
 from xfreqbench.data.recipe import Recipe
@@ -67,9 +68,9 @@ def test_a_download_goes_on_where_it_broke_off_and_is_kept(server: Server, tmp_p
 
 
 def test_what_is_fetched_afresh_does_not_go_on_from_the_old(server: Server) -> None:
-    path = shipped.fetch_file(server.url)
+    path = shipped.fetch_file(server.url, verify)
     path.with_name(f".{path.name}.partial").write_bytes(b"an older file")
-    assert shipped.fetch_file(server.url, fresh=True).read_bytes() == server.content
+    assert shipped.fetch_file(server.url, verify, fresh=True).read_bytes() == server.content
 
 
 def test_a_flipped_byte_is_refused_and_not_kept(server: Server, tmp_path: Path) -> None:

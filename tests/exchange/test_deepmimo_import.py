@@ -159,6 +159,9 @@ def retold(old: str, new: str) -> Callable[[Path], None]:
         (change("delay", lambda table: table + 5e-8), "does not fit the lengths of 3 of 3 paths"),
         (change("power", lambda table: 10 ** (table / 10)), "do not lie between -600 and 0"),  # no dB
         (change("power", lambda table: table * np.nan), "holds no path"),
+        (change("power", lambda table: table + 30), r"power_t.*: 3 of 3 paths are over 20 dB stronger than a wave"),
+        (change("inter", lambda table: (table * 21111111).astype("f4")), "from 16,777,216 on in float32, which rounds"),
+        (change("inter", lambda table: (table * 2111).astype("f2")), "from 2,048 on in float16, which rounds"),
     ],
 )
 def test_nonsense_is_refused_by_name(tmp_path: Path, damage: Callable[[Path], None], told: str) -> None:
@@ -166,6 +169,13 @@ def test_nonsense_is_refused_by_name(tmp_path: Path, damage: Callable[[Path], No
     with pytest.raises(DataError, match=told):
         import_deepmimo(folder, tmp_path / "city.h5")
     assert not (tmp_path / "city.h5").exists()
+
+
+def test_gains_of_antennas_and_codes_in_single_precision_are_read(tmp_path: Path) -> None:
+    folder = scenario_by_hand(tmp_path / "city")
+    change("power", lambda table: table + 15)(folder)
+    change("inter", lambda table: table.astype("f4"))(folder)
+    assert import_deepmimo(folder, tmp_path / "city.h5")
 
 
 def from_horizon(*keys: str) -> Callable[[Path], None]:

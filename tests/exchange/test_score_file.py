@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 from pathlib import Path
@@ -17,7 +18,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import make_splits
 from xfreqbench.errors import DataError, UnknownNameError
 from xfreqbench.exchange import score_file as external
-from xfreqbench.exchange.score_file import score_file
+from xfreqbench.exchange.score_file import read_parts, score_file
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.registry import build_method
@@ -219,9 +220,17 @@ def put_virtual(group, other: Path) -> None:
     group.create_virtual_dataset("pas", layout)
 
 
+def in_a_chunk_of_gigabytes(file) -> None:
+    shape = {"shape": (5, 90, 360), "maxshape": (None, 90, 360), "chunks": (30_000, 90, 360)}
+    in_place_of_the_maps(file).create_dataset("pas", dtype="f4", compression="gzip", **shape)
+
+
 REFUSED = {
     "text": (lambda path: path.write_text("pas"), "not HDF5"),
-    "cut": (lambda path: path.write_bytes(path.read_bytes()[:5000]), "not written to its end"),
+    "cut": (
+        lambda path: path.write_bytes(path.read_bytes()[:5000]),
+        "is damaged, cut short or not HDF5.*Write it again",
+    ),
     "absent": (lambda path: path.unlink(), "There is no file"),
     "empty": (edited(lambda file: [file.pop(name) for name in SPLITS]), "is empty"),
     "group": (edited(lambda file: file.move("lofo-77GHz", "lofo-77")), r"Did you mean 'lofo-77GHz'"),
@@ -229,14 +238,18 @@ REFUSED = {
     "soft link": (edited(lambda file: file.update({"lofo-37GHz": h5py.SoftLink("/lofo-77GHz")})), "is no group"),
     "root too": (edited(lambda file: file.create_dataset("pas", data=[1])), "at its root and group"),
     "no maps": (edited(lambda file: file.move("lofo-77GHz/pas", "lofo-77GHz/PAS")), "it holds PAS"),
-    "maps a group": (edited(lambda file: in_place_of_the_maps(file).create_group("pas")), "'pas' is a group"),
+    "maps a group": (
+        edited(lambda file: in_place_of_the_maps(file).create_group("pas")),
+        "'pas' is a link, no dataset, or",
+    ),
     "link": (
         elsewhere(lambda group, other: group.update(pas=h5py.ExternalLink(other.name, "lofo-77GHz/pas"))),
-        "link to data elsewhere",
+        "'pas' is a link, no dataset, or",
     ),
-    "virtual": (elsewhere(put_virtual), "link to data elsewhere"),
+    "virtual": (elsewhere(put_virtual), "'pas' is a link, no dataset, or"),
     "backwards": (maps(lambda each: each.T), r"\(360, 90, 5\).*permute\(pas, \[3 2 1\]\)"),
     "rows": (maps(lambda each: each[:4]), r"shape \(4, 90, 360\), but 5 test rows need \(5, 90, 360\)"),
+    "chunk": (edited(in_a_chunk_of_gigabytes), "'pas' is .* in chunks far larger than all of it"),
     "scalar": (maps(lambda each: 1.0), r"shape \(\)"),
     "complex": (maps(lambda each: each.astype(complex)), "real numbers"),
     "texts": (maps(lambda each: np.full(each.shape, b"1")), "real numbers"),
@@ -270,6 +283,48 @@ def test_a_file_with_a_fault_is_refused_in_words_before_anything_is_scored(
     with pytest.raises((DataError, UnknownNameError), match=words):
         score_file(predictions, dataset.path, tmp_path / "results")
     assert not list(tmp_path.glob("results/**/*.*"))
+
+
+def with_coordinates(path: Path, split_file: Path, change, *names: str) -> None:
+    """Write coordinates of the split file beside the maps, as others do that carry theirs along."""
+    with h5py.File(split_file) as splits, h5py.File(path, "r+") as file:
+        split = splits["lofo-77GHz"]
+        for name in names:
+            known = {"row": "test_row", "sample": "test_row", "tx_position_m": "test_tx_position_m"}.get(name, name)
+            file["lofo-77GHz"][name] = change(split[known][...])
+
+
+COORDINATES = (
+    *("test_row", "row", "sample", "test_tx_position_m", "tx_position_m", "test_carrier_hz"),
+    *("elevation_deg", "azimuth_deg"),
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        *((name, np.flipud) for name in COORDINATES if name != "test_carrier_hz"),  # for it is one
+        *itertools.product(COORDINATES, [lambda known: known[1:], lambda known: 1.5 * known + 1, lambda _: "text"]),
+    ],
+)
+def test_maps_with_coordinates_in_another_order_are_refused(
+    dataset: PasDataset, split_file: Path, predictions: Path, name: str, change
+) -> None:
+    with_coordinates(predictions, split_file, change, name)
+    with pytest.raises(DataError, match=rf"'lofo-77GHz': '{name}' is not that of the split file, so that maps would"):
+        read_parts(predictions, dataset, None)
+
+
+@pytest.mark.parametrize("dtype", ["f8", "f4"])
+def test_maps_with_coordinates_of_the_split_file_are_scored(
+    dataset: PasDataset, split_file: Path, predictions: Path, dtype: str
+) -> None:
+    with_coordinates(predictions, split_file, lambda known: known.astype(dtype)[None], *COORDINATES)
+    with h5py.File(predictions, "r+") as file:  # as netCDF writes an axis without coordinates
+        del file["lofo-77GHz/azimuth_deg"]
+        file["lofo-77GHz/azimuth_deg"] = np.zeros(360)
+        file["lofo-77GHz/azimuth_deg"].attrs["NAME"] = b"This is a netCDF dimension but not a netCDF variable.   360"
+    assert len(read_parts(predictions, dataset, None)) == 3
 
 
 @settings(max_examples=40)

@@ -17,7 +17,7 @@ from tests.support.damage import flip
 from tests.support.descent import NUM_STEPS, Descent, DescentConfig, Forgetful, curve, make_job, maps
 from tests.support.stub_methods import run_job, run_jobs
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import DataError, DivergenceError, MethodError
+from xfreqbench.errors import DataError, DivergenceError, MethodError, StorageError
 from xfreqbench.methods import fitting
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import checkpoints
@@ -287,6 +287,19 @@ def test_a_method_that_cannot_load_its_own_files_is_told_where_they_are(folder: 
     words = r"checkpoints/abc cannot be loaded: Descent\.load raised FileNotFoundError.*Delete"
     with pytest.raises(MethodError, match=words):
         folder.load(Descent())
+
+
+@pytest.mark.parametrize("name", ["checkpoint.json", "method/state.json"])
+def test_a_checkpoint_on_a_disk_that_fails_is_not_to_be_deleted(folder: CheckpointFolder, name: str) -> None:
+    save(folder, 1)
+    (folder.path / "1" / name).unlink()
+    (folder.path / "1" / name).symlink_to("/proc/self/mem")  # which the system opens, and cannot read
+    readings: list[Callable[[], object]] = [folder.read]
+    if name != "checkpoint.json":
+        readings.append(lambda: folder.load(Descent()))
+    for reading in readings:
+        with pytest.raises(StorageError, match=r"cannot be read: Input/output error\. Try again later\.$"):
+            reading()
 
 
 def test_a_method_that_comes_back_with_another_configuration_is_refused(folder: CheckpointFolder) -> None:

@@ -215,13 +215,14 @@ def test_unknown_extensions_of_a_glb_are_refused_unless_they_are_about_looks_alo
 
 ACCESSOR = {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"}
 VIEW = {"buffer": 0, "byteLength": 48}
+EMPTY, DRACO = {"componentType": 5126, "count": 10**12, "type": "VEC3"}, "KHR_draco_mesh_compression"
 INDEX = {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"}
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "export it without compression"),
+        ({"extensionsRequired": [DRACO]}, "export it without compression"),
         ({"buffers": [{"uri": "../other.bin", "byteLength": 9}]}, "geometry is in another file"),
         ({"nodes": [{"mesh": 0, "skin": 0}]}, "skinned"),
         ({"nodes": [{"children": [0]}]}, "stands in two places"),
@@ -230,10 +231,14 @@ INDEX = {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"}
         ({"accessors": [ACCESSOR | {"count": 10**9}, INDEX]}, "cannot be read"),
         ({"accessors": [ACCESSOR | {"count": -1}, INDEX]}, "no sound size"),
         ({"accessors": [ACCESSOR | {"type": "VEC2"}, INDEX]}, "no position"),
-        ({"accessors": [{"componentType": 5126, "count": 10**12, "type": "VEC3"}, INDEX]}, "sparse or empty"),
+        ({"accessors": [EMPTY, INDEX]}, "sparse or empty"),
         ({"bufferViews": [VIEW | {"byteStride": 0}, VIEW]}, "sound size"),
         ({"bufferViews": [VIEW | {"byteOffset": 10**9}, VIEW]}, "cannot be read"),
         ({"accessors": [ACCESSOR | {"count": 2}, INDEX]}, "vertex 2 of 2"),
+        ({"accessors": [ACCESSOR, INDEX | {"count": 2}]}, "a list of triangles has 2 corners"),
+        ({"nodes": [{"mesh": 0, "matrix": [*np.eye(4).ravel()[:15], 2]}]}, r"the matrix of node None ends in \["),
+        ({"accessors": [EMPTY, INDEX], "extensionsUsed": [DRACO]}, f"compressed by {DRACO}; export without"),
+        ({"nodes": [{"mesh": 0, "scale": [1e308] * 3, "translation": [1e308] * 3}]}, "not finite, or beyond"),
         ({"materials": []}, "cannot be read"),
         ({"meshes": [{"primitives": [{"attributes": {}}]}]}, "it lacks 'POSITION'"),
         ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 1}]}]}, "holds no triangles"),
@@ -249,9 +254,14 @@ def test_many_nodes_of_one_large_mesh_are_refused_before_they_fill_the_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(imported, "MAX_TRIANGLES", 99_999)
+    monkeypatch.setattr(imported, "MAX_SHAPES", 1000)
     nodes: list[dict[str, Any]] = [{"mesh": 0, "children": list(range(1, 100))}, *({"mesh": 0} for _ in range(99))]
     with pytest.raises(SceneError, match="more than 99,999 triangles"):
         meshes_of(tmp_path, "many.glb", glb_bytes(nodes, [(np.zeros((1000, 3)), [0, 1, 2], TRIANGLES, "itu_wood")]))
+    places = [(np.zeros((1001, 3)), "<f4")]
+    node = {"extensions": {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 2}}}}
+    with pytest.raises(SceneError, match="or 1,000 objects"):
+        meshes_of(tmp_path, "many.glb", changed_square(places, node))
 
 
 def test_a_glb_that_is_cut_or_nests_without_end_is_refused(tmp_path: Path) -> None:

@@ -15,6 +15,8 @@ class Server:
 
     `asked` are the ranges that were asked for, and `num_sent` bytes were answered for them.
 
+    They are said to have an `encoding`, such as gzip, where there is one.
+
     The connection of the next answer breaks after `breaks_after` bytes, where that is not 0.
     """
 
@@ -22,7 +24,7 @@ class Server:
         self.content, self.url = content, f"http://127.0.0.1:{port}/served.h5"
         self.breaks_after, self.num_sent, self.asked = 0, 0, list[str]()
         self.is_failing, self.gives_ranges = False, True
-        self.others = dict[str, bytes]()
+        self.others, self.encoding = dict[str, bytes](), ""
 
 
 @contextmanager
@@ -52,6 +54,8 @@ class _Handler(BaseHTTPRequestHandler):
         part = content[start : last + 1]
         self.send_response(206 if found else 200)
         self.send_header("Content-Length", str(len(part)))
+        if server.encoding:
+            self.send_header("Content-Encoding", server.encoding)
         if found:
             self.send_header("Content-Range", f"bytes {start}-{start + len(part) - 1}/{len(content)}")
         self.end_headers()

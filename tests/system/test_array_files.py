@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,8 @@ import pytest
 import scipy.io
 import scipy.sparse
 
-from xfreqbench.errors import DataError
+from xfreqbench.errors import DataError, StorageError
+from xfreqbench.system import array_files
 from xfreqbench.system.array_files import read_arrays
 
 TABLE = np.array([[0.5, np.nan, -2e-9], [7.0, 1e30, 0.1]])
@@ -103,7 +105,7 @@ def with_header(old: bytes, new: bytes) -> bytes:
         ("a.mat", mat(power="text"), "is damaged"),
         ("a.mat", mat(power=scipy.sparse.csc_array(TABLE)), "is damaged"),
         ("a.mat", mat(other=TABLE), "lacks an array"),
-        ("a.mat", mat(compressed=False).replace(b"MATLAB 5.0", b"MATLAB 7.3"), "is damaged"),
+        ("a.mat", mat(compressed=False).replace(b"MATLAB 5.0", b"MATLAB 7.3"), r"of MATLAB 7\.3, .*HDF5.*'-v7'"),
     ],
 )
 def test_another_kind_shape_or_size_is_refused(tmp_path: Path, name: str, content: bytes, told: str) -> None:
@@ -111,6 +113,24 @@ def test_another_kind_shape_or_size_is_refused(tmp_path: Path, name: str, conten
     (tmp_path / name).write_bytes(content)
     with pytest.raises(DataError, match=told):
         read_arrays(tmp_path / name, FORM, "", sizes)
+
+
+@pytest.mark.parametrize(("name", "write"), [("a.npz", npz), ("a.mat", mat)])
+def test_what_no_memory_holds_is_not_called_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, write: Callable[..., bytes]
+) -> None:
+    zeros = np.zeros((1000, 1000))  # 8 MB, which take some kilobytes
+    content = write(power=zeros)
+    monkeypatch.setattr(array_files, "available_memory_mib", lambda: 7)
+    with pytest.raises(StorageError, match=f"{name} cannot be read: there is not enough memory"):
+        read(tmp_path, name, content)
+
+
+def test_a_size_that_no_archive_of_these_bytes_has_is_damage(tmp_path: Path) -> None:
+    size = struct.pack("<I", TABLE.nbytes + 128)
+    assert size in npz()
+    with pytest.raises(DataError, match="is damaged"):
+        read(tmp_path, "a.npz", npz().replace(size, b"\xff\xff\xff\x7f"))
 
 
 def test_an_own_array_has_the_very_type_and_order_that_were_stored(tmp_path: Path) -> None:

@@ -7,6 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from xfreqbench.errors import XFreqBenchError
+from xfreqbench.system import caches, kernels
+
 SUMS = """
 import numpy as np
 from numba import prange
@@ -58,3 +63,32 @@ def test_who_compiles_computes_the_digits_of_who_finds_it_compiled(tmp_path: Pat
     assert answers[0] == answers[1]
     assert answers[0].endswith(" 0\n"), "compiled in the process that uses it"
     assert not (folder / "imported").exists()
+
+
+def test_where_no_cache_can_be_written_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_locator(_: object) -> None:
+        raise RuntimeError("cannot cache function: no locator available")
+
+    monkeypatch.setattr(kernels, "_Cache", no_locator)
+    with pytest.raises(XFreqBenchError, match="Set NUMBA_CACHE_DIR to a folder that can be written"):
+        kernels.entry()(lambda x: x)
+
+
+def test_a_folder_that_only_seems_to_be_writable_is_found_out() -> None:
+    """As a home on NFS where root is squashed: for root, the system says of `/proc` too that it can be written."""
+    assert not caches._is_writable(Path("/proc/home"))
+    assert not caches._is_writable(Path("/proc/self/status/home"))
+
+
+def test_caches_are_put_elsewhere_where_those_that_are_named_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cannot = {"XDG_CACHE_HOME": "/proc/caches", "NUMBA_CACHE_DIR": "/proc/numba", "MPLCONFIGDIR": str(tmp_path)}
+    for name, folder in cannot.items():
+        monkeypatch.setenv(name, folder)
+    monkeypatch.setattr(caches, "_PACKAGE", Path("/proc"))
+    monkeypatch.setattr(caches, "_own_folder", lambda: tmp_path / "own")
+    caches.settle_caches()
+    assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path / "own" / "numba")
+    assert os.environ["MPLCONFIGDIR"] == str(tmp_path)
+    assert caches.data_folder() == tmp_path / "own" / "data"

@@ -142,7 +142,11 @@ KERNELS = ("-c", "import os, xfreqbench.methods.learning.loss_kernels; print(os.
 
 
 @can_be_another
-@pytest.mark.parametrize("home", [["env", "-u", "HOME"], ["env", "HOME=/"]], ids=["none", "of another user"])
+@pytest.mark.parametrize(
+    "home",
+    [["env", "-u", "HOME"], ["env", "HOME=/"], ["env", "HOME=/", "NUMBA_CACHE_DIR=/proc/numba"]],
+    ids=["none", "of another user", "a cache that cannot be written"],
+)
 def test_without_a_home_to_write_to_kernels_are_kept_in_a_folder_of_our_own(tmp_path: Path, home: list[str]) -> None:
     (folder := tmp_path / "temporary").mkdir()
     os.chown(folder, ANOTHER, ANOTHER)

@@ -6,11 +6,13 @@ import gzip
 import os
 import subprocess
 import sys
+from datetime import datetime, tzinfo
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.exchange.test_deepmimo_import import scenario_by_hand
 from tests.support.forked import command_line
 from tests.support.fuzzing.common import check_clean, check_refusal, refusal, untouched, xfreqbench
 from tests.support.fuzzing.hdf5 import Spoil, as_other_thing, sound_dataset, sound_records, spoilt_file
@@ -19,9 +21,11 @@ from tests.support.fuzzing.scenes import ASCII_PLY, EMPTY_SCENE, REFERRING_SCENE
 from tests.support.stored_records import make_record
 from xfreqbench.cli.options import parse_targets_ghz
 from xfreqbench.data.dataset import open_dataset
+from xfreqbench.errors import XFreqBenchError
 from xfreqbench.runs.checkpoints import CheckpointFolder
-from xfreqbench.runs.records import append, read
+from xfreqbench.runs.records import append, read, utc_now
 from xfreqbench.scene.model import MAX_CANDIDATES, parse_scene
+from xfreqbench.system import machine
 
 
 def test_every_file_a_command_could_write_over_is_refused(tmp_path: Path) -> None:
@@ -118,6 +122,42 @@ def test_a_grid_of_a_billion_transmitters_is_refused_by_its_number_before_it_tak
     assert f"1,003,003,001 positions, but {MAX_CANDIDATES:,} are the most" in str(message)
 
 
+FAILING = "/proc/self/mem"  # a regular file that can be opened, of which the system says that it cannot be read
+
+
+@pytest.mark.skipif(not Path(FAILING).is_file(), reason="needs Linux")
+@pytest.mark.parametrize(
+    ("words", "file"),
+    [
+        ("info odd.h5", "odd.h5"),
+        ("run --data odd.h5 --method nearest --results new", "odd.h5"),
+        ("score odd.h5 --data data.h5 --results new", "odd.h5"),
+        ("split --data data.h5 --targets 10 -o odd.h5", "odd.h5"),
+        ("report .", "records.jsonl"),
+        ("info rooms", "rooms/collection.json"),
+        (f"{IMPORT} -q", "maps/spectrum/00001.png"),
+        ("import city --from deepmimo -o x.h5", "city/power_t001_tx000_r000.npz"),
+        ("bench fingerprint ./small.toml -o odd.npz", "odd.npz"),
+        (SCENE, "wall.ply"),
+    ],
+)
+def test_a_disk_that_fails_is_not_called_damage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str, file: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_png_folder(Path("maps"))
+    scenario_by_hand(Path("city"))
+    Path("rooms").mkdir()
+    Path("data.h5").write_bytes(sound_dataset())
+    for name, text in {**MESH, "small.toml": toml_file(SMALL_SCENE)}.items():
+        Path(name).write_text(text, "utf-8")
+    Path(file).unlink(missing_ok=True)
+    Path(file).symlink_to(FAILING)
+    outcome = xfreqbench(*words.split())
+    assert outcome.code == 2
+    assert outcome.message.endswith(f"{file} cannot be read: Input/output error. Try again later.")
+
+
 @pytest.mark.parametrize("words", [["info"], ["generate", "empty", "-o"], ["report"], ["import", "-o", "x"]])
 def test_a_path_that_the_system_does_not_take_is_refused(words: list[str]) -> None:
     outcome = xfreqbench(*words, "x" * 400)
@@ -169,6 +209,21 @@ def test_numbers_of_thousands_of_digits_are_refused(tmp_path: Path) -> None:
         assert outcome.code == 2
         check_clean(outcome, name.removeprefix("--"))
     check_clean(xfreqbench("bench", "render", "--gaussians", "9" * 5000), "--gaussians")
+
+
+def test_a_clock_past_the_year_9999_is_said_before_any_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class PastIt(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> PastIt:
+            raise ValueError("year 10000 is out of range")
+
+    monkeypatch.setattr(machine, "datetime", PastIt)
+    with untouched(tmp_path):
+        outcome = xfreqbench("generate", "empty", "--freqs", "1", "-o", tmp_path / "x.h5", "-q")
+    assert outcome.code == 2
+    check_clean(outcome, "clock of this machine is past the year 9999")
+    with pytest.raises(XFreqBenchError, match="Set it right"):
+        utc_now()
 
 
 def test_an_empty_list_of_targets_is_not_the_default() -> None:

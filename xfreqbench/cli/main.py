@@ -16,7 +16,7 @@ from xfreqbench.cli.options import app
 from xfreqbench.cli.plugins import add_plugin_commands
 from xfreqbench.errors import RunsFailedError, StorageError, XFreqBenchError, was_interrupted
 from xfreqbench.system.bars import announcing
-from xfreqbench.system.machine import require_thread_count, require_working_folder
+from xfreqbench.system.machine import now, require_thread_count, require_working_folder
 
 __all__ = ["app", "data", "exchange", "main", "measure", "runs"]  # importing a file adds its commands
 _WIDTHS = 20, 1000  # columns of text: narrower, a help text never ends; wider, it fills the memory
@@ -35,6 +35,7 @@ def main() -> None:
     try:
         require_working_folder()
         require_thread_count()
+        now()  # which no clock may make impossible once the work is done
         with interruptions_kept(), announcing(not {"--quiet", "-q"} & {*sys.argv}):
             if sys.argv[1:2] in ([], ["--help"], ["-h"]):
                 app.resolved_commands()  # imports plug-ins, so that help describes their commands

@@ -226,7 +226,7 @@ class Collection:
 def open_collection(path: FilePath) -> Collection:
     """The collection of rooms in a folder, or at an address (http, https) of one; data sets are opened later.
 
-    Raises `DataError` where there is no collection, or a damaged one.
+    Raises `DataError` where there is no collection, or a damaged one, and `StorageError` where it cannot be read.
     """
     folder = located(path)
     file = folder / FILE

@@ -427,7 +427,7 @@ def open_dataset(path: FilePath, receiver: str | None = None, polarization: str 
     """The samples of a data set; raises `DataError` for a file that is missing, damaged or no data set.
 
     Of a file with several receivers or pairs of polarizations, one of each is opened: the first where none is named.
-    Raises `UnknownNameError` for one that the file does not hold.
+    Raises `UnknownNameError` for one that the file does not hold, and `StorageError` where it cannot be read.
 
     `path` may be an address (http, https). Of a file there, header and channels are read, and maps when they are asked
     for, in ranges of bytes; each is compared with its hash or checksum. Needs `pip install "xfreqbench[remote]"`.

@@ -23,7 +23,8 @@ import numpy as np
 
 from xfreqbench.errors import DataError, StorageError, XFreqBenchError
 from xfreqbench.maps.bartlett import RANGE_TOLERANCE
-from xfreqbench.system.files import atomic_path, json_sha256, storage_errors
+from xfreqbench.system.array_files import MOST_COMPRESSED
+from xfreqbench.system.files import atomic_path, json_sha256, storage_errors, system_errors
 from xfreqbench.system.remote import RemotePath
 from xfreqbench.types import NDArray
 
@@ -35,8 +36,8 @@ _NOT_SEALED = {*_CONVENTIONS, "references"}  # these say more of data that stay 
 _TRAILER = b"xfreqbench sha256 "
 _TRAILER_BYTES = len(_TRAILER) + 64
 _LEFT_OPEN = "already open for write"  # HDF5's words for a mark in the file, which a killed program leaves
+_WRITE_AGAIN = "Write it again with h5py, h5write of MATLAB, or another HDF5 library."
 _READ_FAILURES = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
-_MOST_COMPRESSED = 1032  # bytes of data that one byte on disk can stand for: the limit of deflate
 _ONE = 65280  # as which 1 is packed: 255 · 256, so that 8-bit levels are exact; netCDF4 takes 65535 for a missing value
 _STEP = np.float32(1 / _ONE)
 
@@ -170,14 +171,7 @@ def open_sealed(path: Path, schema: str) -> Iterator[Any]:
     `read_array`. A file that another program opened to write is refused. Raises `StorageError` for one that another
     program holds open to write, or that may not be read.
     """
-    is_remote = isinstance(path, RemotePath)
-    with read_errors(path):  # a path that is too long raises an error too
-        is_there, is_folder = is_remote or path.is_file(), path.is_dir()
-    if is_folder:
-        raise DataError(f"{path} is a folder. Give one of its files, with a name in .h5.")
-    if not is_there:
-        raise DataError(f"There is no file {path}. Generate it first, or correct the path.")
-    with read_errors(path), _bytes_of(path) as stored, h5py.File(stored if is_remote else path, "r") as file:
+    with open_foreign(path, advice="Generate it again.") as file, _bytes_of(path) as stored:
         found = _text(file, "schema") if "schema" in file.attrs else "none"
         if found != schema:
             raise DataError(f"{path} has schema {found!r}, but {schema!r} is read here.")
@@ -196,56 +190,46 @@ def _bytes_of(path: Path) -> AbstractContextManager[Any]:
 
 
 @contextmanager
-def read_errors(path: Path, what: str = "the file") -> Iterator[None]:
+def read_errors(path: Path, what: str = "the file", advice: str = "Generate it again.") -> Iterator[None]:
     """Turn any exception that h5py raises on damaged bytes into a `DataError` that names `what` was read.
 
-    Errors that speak of a lock or a missing permission become a `StorageError`.
+    Errors that do not speak of damaged data become a `StorageError`: of a lock, and those of `system_errors`.
     """
     try:
-        with _readable(path):
-            yield
+        with system_errors(path):
+            try:
+                yield
+            except OSError as error:
+                if isinstance(error, BlockingIOError) or _LEFT_OPEN in str(error):
+                    raise StorageError(
+                        f"{path} is in use: another program has opened it to write. Close it there and do the same "
+                        "again; if that program was killed, run: h5clear -s FILE"
+                    ) from error
+                bytearray(_BLOCK_BYTES)  # HDF5 does not say that it found no memory, but this does
+                raise
     except XFreqBenchError:
         raise
     except Exception as error:
-        is_remote = isinstance(path, RemotePath)  # servers fail in ways of their own
-        if not (is_remote or isinstance(error, _READ_FAILURES)):
+        place = f"{path} is damaged, cut short or not HDF5"
+        if isinstance(path, RemotePath):  # servers fail in ways of their own
+            place, advice = str(path), f"Try again, or download it: xfreqbench.fetch({str(path)!r})"
+        elif not isinstance(error, _READ_FAILURES):
             raise
         fault = getattr(error, "strerror", None) or error
-        advice = f"Download it: xfreqbench.fetch({str(path)!r})" if is_remote else "Generate it again."
-        raise DataError(f"{path} is damaged or not HDF5: {what} cannot be read ({fault}). {advice}") from error
+        raise DataError(f"{place}: {what} cannot be read ({fault}). {advice}") from error
 
 
 @contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    """Turn errors that do not speak of damaged data, but of a lock or a missing permission, into a `StorageError`."""
-    try:
-        yield
-    except OSError as error:
-        if isinstance(error, PermissionError):
-            raise StorageError(f"{path} cannot be read: {error.strerror}. Correct its permissions.") from error
-        if isinstance(error, BlockingIOError) or _LEFT_OPEN in str(error):
-            raise StorageError(
-                f"{path} is in use: another program has opened it to write. Close it there and do the same again; if "
-                "that program was killed, run: h5clear -s FILE"
-            ) from error
-        raise
-
-
-@contextmanager
-def open_foreign(path: Path) -> Iterator[Any]:
-    """Open an HDF5 file that another program wrote, to read; raises `DataError` if it is missing or not HDF5."""
-    if not path.is_file():
-        raise DataError(f"There is no file {path}. Correct the path.")
-    try:
-        with _readable(path):
-            file = h5py.File(path, "r")
-    except OSError as error:
-        raise DataError(
-            f"{path} is not HDF5, or was not written to its end ({error.strerror or error}). Write it again with "
-            "h5py, h5write of MATLAB, or another HDF5 library."
-        ) from error
-    with file:
-        yield file
+def open_foreign(path: Path, what: str = "the file", advice: str = _WRITE_AGAIN) -> Iterator[Any]:
+    """Open an HDF5 file that anybody wrote, to read `what` of it; raises as `read_errors`, and where it is missing."""
+    with read_errors(path, what, advice):
+        source = path.ranges() if isinstance(path, RemotePath) else path
+        if source is path and path.is_dir():
+            raise DataError(f"{path} is a folder. Give one of its files, with a name in .h5.")
+        if source is path and not path.is_file():
+            raise DataError(f"There is no file {path}. Generate it first, or correct the path.")
+        with h5py.File(source, "r") as file:
+            yield file
 
 
 def is_group(item: Any) -> bool:
@@ -253,15 +237,16 @@ def is_group(item: Any) -> bool:
     return isinstance(item, h5py.Group)
 
 
-def stands_elsewhere(group: Any, name: str) -> bool:
-    """Whether a member of a group is only a link, or a dataset whose values are kept in another dataset or file.
+def foreign_item(group: Any, name: str) -> Any:
+    """A group or a dataset that a group holds itself; None for anything else, and for chunks far larger than all.
 
-    Reading it would read whatever file or dataset is named there.
+    Reading a link, or a dataset whose values are elsewhere, would read whatever file is named there.
     """
-    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-        return True
-    item = group[name]
-    return isinstance(item, h5py.Dataset) and bool(item.is_virtual or item.external)
+    item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+    if not isinstance(item, h5py.Dataset):
+        return item if is_group(item) else None
+    is_here = not (item.shape is None or item.is_virtual or item.external)
+    return item if is_here and prod(item.chunks or ()) * item.dtype.itemsize <= max(item.nbytes, _BLOCK_BYTES) else None
 
 
 def read_array(file: Any, name: str) -> NDArray[Any]:
@@ -289,7 +274,7 @@ def _dataset(file: Any, name: str) -> Any:
     stored = file.get(name)
     if not isinstance(stored, h5py.Dataset):
         raise ValueError(f"it has no dataset {name!r}")
-    if stored.nbytes > _MOST_COMPRESSED * stored.id.get_storage_size():
+    if stored.nbytes > MOST_COMPRESSED * stored.id.get_storage_size():
         raise ValueError(f"dataset {name!r} claims {stored.nbytes:,} bytes, more than the file can hold")
     return stored
 
@@ -311,13 +296,9 @@ def text_attributes(file: Any) -> dict[str, str]:
 
 def verify_sealed(path: Path, schema: str) -> None:
     """Hash every byte of a file, and raise `DataError` naming the first damaged part."""
-    with open_sealed(path, schema):
-        pass
-    with read_errors(path):
-        is_whole = _is_whole(path)
-    if is_whole:
-        return
     with open_sealed(path, schema) as file:
+        if _is_whole(path):
+            return
         for name in _dataset_names(file):
             with read_errors(path, f"dataset {name!r}"):
                 if _digest_of(file[name], _blocks(_dataset(file, name))) != _text(file[name], "sha256"):

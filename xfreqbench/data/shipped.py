@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -88,28 +90,33 @@ def fetch(name_or_url: Word, sha256: Sha256 | None = None) -> PasDataset:
         if address is None:
             return load(name_or_url)
         url, sha256 = address, sha256 or registered_sha256
-    path = fetch_file(url, sha256, file)
-    try:
-        verify(path)
-        return open_dataset(path)
-    except DataError:
-        path.unlink(missing_ok=True)
-        raise
+    return open_dataset(fetch_file(url, verify, sha256, file))
 
 
-def fetch_file(url: str, sha256: str | None = None, file: str = "", fresh: bool = False) -> Path:
+def fetch_file(
+    url: str,
+    check: Callable[[Path], object],
+    sha256: str | None = None,
+    file: str = "",
+    fresh: bool = False,
+    most_bytes: float = inf,
+) -> Path:
     """Download what an address holds, once or, where `fresh`, each time, into the user's folder for caches.
 
-    Raises `DataError` where nothing answers, or what comes has another `sha256`, and `StorageError`.
+    Raises `DataError` where nothing answers, and where what comes has another `sha256`, or more than `most_bytes`, or
+    `check` raises it; then the file is not kept. Raises `StorageError` too.
     """
     file = file or pooch.utils.unique_file_name(url)
     path, book = data_folder() / file, _book({file: sha256 and sha256.lower()}, {file: url})
     with sole_writer(path), storage_errors(path):
         if fresh:
-            for old in (path, _partial(path)):
-                old.unlink(missing_ok=True)
+            _remove(path)
         try:
-            book.fetch(file, downloader=_go_on)
+            book.fetch(file, downloader=partial(_go_on, most_bytes))
+            check(path)
+        except DataError:
+            _remove(path)
+            raise
         except requests.RequestException as error:
             raise DataError(
                 f"{url} cannot be fetched: {error}. What has arrived is kept: the same call goes on from there."
@@ -129,13 +136,18 @@ def _partial(path: Path) -> Path:
     return path.with_name(f".{path.name}.partial")
 
 
-def _go_on(url: str, output: str, book: Any) -> None:
+def _remove(path: Path) -> None:
+    for part in (path, _partial(path)):
+        part.unlink(missing_ok=True)
+
+
+def _go_on(most_bytes: float, url: str, output: str, book: Any) -> None:
     """Download into `output`, from where an earlier download broke off: that is kept beside it, by the file's name."""
     (file,) = book.registry
-    partial = _partial(Path(output).with_name(file))
-    with partial.open("ab") as stored:
+    arrived = _partial(Path(output).with_name(file))
+    with arrived.open("ab") as stored:
         start = stored.tell()
-        asked = {"Range": f"bytes={start}-"} if start else {}
+        asked = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={start}-"} if start else {})
         with requests.get(url, headers=asked, stream=True, timeout=_TIMEOUT_S) as answer:
             if answer.status_code != requests.codes.requested_range_not_satisfiable:  # that is: nothing is missing
                 answer.raise_for_status()
@@ -143,4 +155,7 @@ def _go_on(url: str, output: str, book: Any) -> None:
                     stored.truncate(0)
                 for block in answer.iter_content(_BLOCK_BYTES):
                     stored.write(block)
-    shutil.move(partial, output)
+                    if stored.tell() > most_bytes:
+                        advice = "Download it yourself, look at it, and give its path"
+                        raise DataError(f"{url} holds more than {most_bytes / 1e6:,.0f} MB. {advice}.")
+    shutil.move(arrived, output)

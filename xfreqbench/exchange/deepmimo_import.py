@@ -42,6 +42,7 @@ _MOST_DIGITS = 16  # of which a float64 holds every one
 LEAST_CARRIER_HZ = 1e6  # what is lower is in another unit
 _LATE_M, _LATE = 1.0, 0.1  # how far a delay may be off the length of its path, plus a share of that
 _OFF_M, _OFF = 0.05, 0.035  # how far an angle may miss its point, plus 2 degrees of the way there: points are rounded
+_MOST_GAIN_DB = 20  # of both antennas together
 _AT_ONCE = 64  # users whose paths and maps are made together
 _ADVICE = "Convert the scenario anew, with all its matrices."
 
@@ -153,10 +154,14 @@ def _read(folder: Path, pair: str | None, elevations: Elevations) -> Scenario:
         "rx_pos": "real U 3",
     }
     files, sizes = {key: _file(folder, f"{key}_{name}") for key in forms}, dict[str, int]()
-    tables = {
-        key: read_arrays(path, {key: forms[key]}, _ADVICE, sizes, digest)[key].astype(np.float64)
-        for key, path in files.items()
-    }
+    stored = {key: read_arrays(path, {key: forms[key]}, _ADVICE, sizes, digest)[key] for key, path in files.items()}
+    codes = stored["inter"]
+    if codes.dtype.kind == "f" and (codes >= (limit := 2 ** (np.finfo(codes.dtype).nmant + 1))).any():
+        raise DataError(
+            f"{files['inter']} holds codes of interactions from {limit:,} on in {codes.dtype}, which rounds their last "
+            "digits. Convert the scenario again with codes in float64, or with fewer interactions a path."
+        )
+    tables = {key: table.astype(np.float64, copy=False) for key, table in stored.items()}
     scenario = Scenario(
         told.rt_params.frequency,
         tables["tx_pos"][0],
@@ -181,8 +186,7 @@ def _chosen(folder: Path, pair: str | None, stations: set[int]) -> str:
         if pair not in found:
             raise UnknownNameError("pair of sets", pair, found)
         return pair
-    users = [name for name in found if name.rpartition("r")[2].isdigit()]
-    users = [name for name in users if int(name.rpartition("r")[2]) not in stations]
+    users = [name for name in found if (end := name.rpartition("r")[2]).isdecimal() and int(end) not in stations]
     if len(users) != 1:
         raise DataError(
             f"{folder} holds {'no table of powers' if not found else 'the pairs ' + ', '.join(found)}; "
@@ -227,9 +231,10 @@ def _require_meaning(scenario: Scenario) -> None:
 
 
 def _require_geometry(scenario: Scenario, elevations: Elevations) -> None:
-    """Raise `DataError` unless paths lead from the station over the points that they meet to users, and delays say so.
+    """Raise `DataError` unless paths lead from the station over the points that they meet to users.
 
-    A path in sight has to. Of all paths half may miss, for converters tell the points of some interactions roughly.
+    Delays and powers have to fit the lengths of these ways. Everything has to fit for a path in sight. Of all paths
+    half may miss, for converters tell the points of some interactions roughly.
     """
     user, place = np.nonzero(scenario.is_path)
     tables = {key: table[user, place] for key, table in scenario.of_paths.items()}
@@ -262,6 +267,14 @@ def _require_geometry(scenario: Scenario, elevations: Elevations) -> None:
         raise DataError(
             f"{scenario.files['delay']} does not fit the lengths of {is_late.sum()} of {len(user)} paths; convert the "
             "scenario anew, with delays in seconds from the transmission and positions in metres."
+        )
+    gain = 10 ** (tables["power"] / 20) * 4 * np.pi * length_m * scenario.carrier_hz / SPEED_OF_LIGHT_M_S
+    is_strong = gain > 10 ** (_MOST_GAIN_DB / 20)
+    if is_wrong(is_strong):
+        raise DataError(
+            f"{scenario.files['power']}: {is_strong.sum()} of {len(user)} paths are over {_MOST_GAIN_DB} dB stronger "
+            "than a wave in free space over the same length. Convert the scenario again, with powers in dB of received "
+            "over transmitted power; in dBm of 1 W they are 30 dB more."
         )
     instead: Elevations = "horizon" if elevations == "zenith" else "zenith"
     for end, num_off in faults(elevations).items():

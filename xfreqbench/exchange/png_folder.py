@@ -16,6 +16,7 @@ the folder has another convention.
 from __future__ import annotations
 
 import hashlib
+import io
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,7 +37,7 @@ from xfreqbench.exchange.positions import read_positions
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.array import quaternion_rotation
 from xfreqbench.scene.model import ReceiverArray
-from xfreqbench.system.files import read_text, require_regular, storage_errors
+from xfreqbench.system.files import read_bytes, read_text, storage_errors
 from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import format_ghz, ghz_to_hz
 
@@ -79,7 +80,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is above ours
-            image = Image.open(require_regular(path), formats=["PNG"])
+            image = Image.open(io.BytesIO(read_bytes(path)), formats=["PNG"])
         with image:
             if image.width * image.height > MAX_PIXELS:
                 raise Image.DecompressionBombError

@@ -12,8 +12,9 @@ file with a group for each split that was predicted, named as the split. These l
             group.attrs.update(split.attrs, method="mine")
 
 `pas` holds maps (N, E, A) in the order of `test_row`: numbers in [0, 1], peak 1, or all zero where the method hears
-nothing. MATLAB writes the same file from an array of size [A E N], because its first index is the last one in HDF5. A
-single split may be at the root of the file.
+nothing. Coordinates may be beside it by their names in the split file, which they are compared with. MATLAB writes the
+same file from an array of size [A E N], because its first index is the last one in HDF5. A single split may be at the
+root of the file.
 
 The attributes of a group, or of the root for all groups, are `split_sha256` (copied), `method` (a name) and, if they
 are known, `dataset_sha256` (copied), `fit_seconds`, `predict_ms_per_map`, `parameters`, `hardware`, `url` and `seed`.
@@ -23,29 +24,28 @@ They are recorded as they are given, for nothing of them can be measured here. O
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.fingerprint import require_fingerprint
-from xfreqbench.data.hdf5 import PACKED, is_group, open_foreign, packed, read_errors, stands_elsewhere
+from xfreqbench.data.hdf5 import PACKED, foreign_item, is_group, open_foreign, packed
 from xfreqbench.data.splits import PROTOCOL_VERSION, PROTOCOLS, VALIDATIONS, Split, make_splits
 from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, write_predictions
-from xfreqbench.runs.records import External, Job, RunRecord
+from xfreqbench.runs.records import Amount, Count, External, Job, RunRecord
 from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
 from xfreqbench.system.files import exclusive, json_sha256, require_space, require_text
 from xfreqbench.types import ProgressCallback, ignore_progress
 
-Result = TypeVar("Result")
 PAS = "pas"
 _ADVICE = {
     "split_sha256": "Copy it from the split file: group.attrs.update(split.attrs).",
@@ -61,8 +61,6 @@ def _one_line(text: str) -> str:
 
 
 Line = Annotated[str, Field(max_length=120), AfterValidator(_one_line)]
-Amount = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Count = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class Declaration(BaseModel):
@@ -93,12 +91,10 @@ class Part:
     def batches(self, grid_shape: tuple[int, int]) -> Iterator[MapBatch]:
         """Rows of the data set and their maps, a batch at a time; raises `DataError` naming map and value."""
         test = self.split.test
-        with open_foreign(self.path) as file:
+        with open_foreign(self.path, f"the maps of {self.split.name!r}") as file:
             for start in range(0, len(test), BATCH_SIZE):
                 rows = test[start : start + BATCH_SIZE]
-                with read_errors(self.path, f"the maps of {self.split.name!r}"):
-                    group = file[self.group] if self.group else file
-                    values = np.asarray(group[PAS][start : start + BATCH_SIZE])
+                values = np.asarray((file[self.group] if self.group else file)[PAS][start : start + BATCH_SIZE])
                 if values.shape != (len(rows), *grid_shape):
                     raise DataError(f"{self.path} was changed while it was read. Run the same command again.")
                 if fault := fault_of_maps(values):
@@ -145,31 +141,23 @@ def score_file(
     folder = ResultsFolder(results_dir)
     num_maps = sum(len(part.split.test) for part in parts)
     require_space(folder.predictions_path("any"), num_maps * prod(dataset.grid.shape) * np.dtype(PACKED).itemsize)
-    maps_sha256, has_power = zip(*_each(parts, lambda part: _checked(part, dataset.grid.shape), checking), strict=True)
-    content = [
-        [part.split.sha256, part.declared.model_dump_json(), maps]
-        for part, maps in zip(parts, maps_sha256, strict=True)
-    ]
+    done = np.cumsum([len(part.split.test) for part in parts]).tolist()
+    content, silent, scored = [], [], []
+    for part, so_far in zip(parts, done, strict=True):
+        maps_sha256, has_power = _checked(part, dataset.grid.shape)
+        content.append([part.split.sha256, part.declared.model_dump_json(), maps_sha256])
+        silent += [] if has_power else [part.split.name]
+        checking(so_far, num_maps)
     sha256 = json_sha256(sorted(content))  # the order of the parts does not matter
-    scored = _each(parts, lambda part: _scored(part, dataset, data_name, sha256, folder), scoring)
+    for part, so_far in zip(parts, done, strict=True):
+        scored.append(_scored(part, dataset, data_name, sha256, folder))
+        scoring(so_far, num_maps)
     is_data_known = all(part.declared.dataset_sha256 for part in parts)
     given = {part.split.name for part in parts}
     protocols = dict.fromkeys(part.split.protocol for part in parts)
     usual = [split.name for protocol in protocols for split in splits_or_none(dataset, protocol)]
     missing = tuple(name for name in usual if name not in given)
-    silent = tuple(part.split.name for part, is_heard in zip(parts, has_power, strict=True) if not is_heard)
-    return ScoredFile(tuple(scored), missing, silent, is_data_known)
-
-
-def _each(parts: Sequence[Part], action: Callable[[Part], Result], progress: ProgressCallback) -> list[Result]:
-    """What `action` returns for each part, in order; `progress` is told maps done and in all."""
-    total, done = sum(len(part.split.test) for part in parts), 0
-    results = []
-    for part in parts:
-        results.append(action(part))
-        done += len(part.split.test)
-        progress(done, total)
-    return results
+    return ScoredFile(tuple(scored), missing, tuple(silent), is_data_known)
 
 
 def _checked(part: Part, grid_shape: tuple[int, int]) -> tuple[str, bool]:
@@ -216,7 +204,7 @@ def read_parts(path: Path, dataset: PasDataset, method: str | None = None) -> li
     `method` replaces the method's name that the file gives. Raises `DataError` and `UnknownNameError`.
     """
     known = known_splits(dataset)
-    with open_foreign(path) as file, read_errors(path):
+    with open_foreign(path) as file:
         return [_part(path, file, name, dataset, known, method) for name in _groups(path, file, dataset, known)]
 
 
@@ -255,7 +243,7 @@ def _groups(path: Path, file: Any, dataset: PasDataset, known: Mapping[str, Spli
     for name in members:
         if name not in known:
             raise UnknownNameError(f"split of {dataset.path.name} for {path},", name, known)
-        if stands_elsewhere(file, name) or not is_group(file[name]):
+        if not is_group(foreign_item(file, name)):
             raise DataError(f"{path}: {name!r} is no group of this file. Make it a group with a dataset {PAS!r}.")
     return members
 
@@ -274,6 +262,7 @@ def _part(
     for split in [known[name]] if name else known.values():
         if split.sha256 == declared.split_sha256:
             _check_dataset(place, group, (len(split.test), *dataset.grid.shape))
+            _check_coordinates(place, group, dataset, split)
             return Part(path, name, split, declared)
     raise DataError(
         f"{place}: split_sha256 {declared.split_sha256!r} is not that of {name or 'any split'} of "
@@ -313,16 +302,36 @@ def _plain(value: Any) -> Any:
 def _check_dataset(place: str, group: Any, shape: tuple[int, int, int]) -> None:
     """Raise `DataError` unless `pas` is a dataset of real numbers with that shape, in the file itself."""
     if PAS not in list(group):
-        raise DataError(f"{place}: there is no dataset {PAS!r}; it holds {', '.join(group) or 'nothing'}.")
-    if stands_elsewhere(group, PAS):
-        raise DataError(f"{place}: {PAS!r} is a link to data elsewhere. Write the maps into the file itself.")
-    if is_group(group[PAS]):
-        raise DataError(f"{place}: {PAS!r} is a group. Make it a dataset of shape {shape}.")
-    found, dtype = tuple(group[PAS].shape or ()), group[PAS].dtype
-    if found != shape:
-        is_reversed = found == shape[::-1]
+        raise DataError(f"{place}: there is no dataset {PAS!r}; it holds {', '.join([*group][:9]) or 'nothing'}.")
+    stored = foreign_item(group, PAS)
+    if stored is None or is_group(stored):
+        raise DataError(
+            f"{place}: {PAS!r} is a link, no dataset, or in chunks far larger than all of it. Write it as a dataset of "
+            f"shape {shape} into the file itself."
+        )
+    if stored.shape != shape:
+        is_reversed = stored.shape == shape[::-1]
         advice = f"{shape} backwards: MATLAB's first index is HDF5's last. Write permute({PAS}, [3 2 1])."
         needed = f"but {shape[0]} test rows need {shape}: row, elevation, azimuth."
-        raise DataError(f"{place}: {PAS!r} has shape {found}, {advice if is_reversed else needed}")
-    if dtype.kind not in "fiu":
-        raise DataError(f"{place}: {PAS!r} has dtype {dtype}; it must be real numbers, best float32.")
+        raise DataError(f"{place}: {PAS!r} has shape {stored.shape}, {advice if is_reversed else needed}")
+    if stored.dtype.kind not in "fiu":
+        raise DataError(f"{place}: {PAS!r} has dtype {stored.dtype}; it must be real numbers, best float32.")
+
+
+def _check_coordinates(place: str, group: Any, dataset: PasDataset, split: Split) -> None:
+    """Raise `DataError` where coordinates beside the maps are not those of the split, in its order."""
+    tested, grid = dataset.subset(split.test), dataset.grid
+    known = {"row": split.test, "tx_position_m": tested.tx_position_m, "carrier_hz": tested.carrier_hz}
+    known |= {f"test_{name}": values for name, values in known.items()} | {"sample": split.test}
+    known |= {"elevation_deg": np.degrees(grid.elevation_rad), "azimuth_deg": np.degrees(grid.azimuth_rad)}
+    for name in sorted(known.keys() & set(group)):
+        expected, stored = known[name].ravel(), foreign_item(group, name)
+        if stored is not None and "not a netCDF variable" in str(stored.attrs.get("NAME")):
+            continue  # only an axis, without values
+        is_alike = getattr(stored, "size", None) == expected.size and stored.dtype.kind in "fiu"
+        tolerance = {"rtol": 0} if expected.dtype.kind == "i" else {"rtol": 1e-6, "atol": 1e-5}  # of single precision
+        if not (is_alike and np.allclose(np.ravel(stored), expected, **tolerance)):
+            raise DataError(
+                f"{place}: {name!r} is not that of the split file, so that maps would be taken for others. Write them "
+                "in its order: test_row, elevation_deg, azimuth_deg."
+            )

@@ -15,14 +15,14 @@ from uuid import uuid4
 
 from pydantic import ConfigDict, ValidationError
 
-from xfreqbench.errors import DataError
+from xfreqbench.errors import DataError, StorageError
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Method, RoomMethod
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.methods.guard import method_code
 from xfreqbench.runs.records import Amount, Count, CurvePoint, fault_of_fields
 from xfreqbench.runs.sealed import SealedModel
-from xfreqbench.system.files import read_bytes, remove, storage_errors, sync
+from xfreqbench.system.files import read_bytes, remove, storage_errors, sync, system_errors
 
 Loaded = TypeVar("Loaded", Method, RoomMethod)
 CHECKPOINT_SECONDS = 30.0  # fitting time between two checkpoints
@@ -143,10 +143,11 @@ class CheckpointFolder:
     def load(self, method: Loaded) -> Loaded:
         """The method as the newest checkpoint holds it; its class and configuration are those of `method`.
 
-        Raises `MethodError` if the method fails to load it, and `DataError` if it has another configuration.
+        Raises `MethodError` if the method fails to load it, `DataError` if it has another configuration, and
+        `StorageError` if the system cannot read it.
         """
         failed = f"The {self.what} in {self.path} cannot be loaded: {type(method).__name__}.load raised"
-        with method_code(failed, self.advice, passed=()):
+        with method_code(failed, self.advice, passed=(StorageError,)), system_errors(self.path):
             loaded = type(method).load((self.newest() or self.path) / _METHOD_FOLDER)
             config = getattr(loaded, "config", None)
         if as_json(config) != as_json(method.config):
@@ -181,4 +182,4 @@ class CheckpointFolder:
 def _sha256_by_name(folder: Path) -> dict[str, str]:
     """The hash of every file, by its path within the folder; raises `OSError`."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    return {path.relative_to(folder).as_posix(): hashlib.sha256(read_bytes(path)).hexdigest() for path in files}

@@ -8,7 +8,7 @@ import os
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import UTC
 from functools import partial
 from itertools import pairwise
 from math import nan
@@ -33,7 +33,7 @@ from xfreqbench.methods.contract import Budget
 from xfreqbench.runs.sealed import SealedModel
 from xfreqbench.system.arguments import only_given
 from xfreqbench.system.files import exclusive, read_bytes, require_regular, require_text, storage_errors
-from xfreqbench.system.machine import git_commit, hardware, software
+from xfreqbench.system.machine import git_commit, hardware, now, software
 from xfreqbench.types import NDArray
 from xfreqbench.units import band_text
 
@@ -480,4 +480,4 @@ def fault_of_fields(error: ValidationError) -> str:
 
 def utc_now() -> str:
     """The time as records have it, in UTC to the second."""
-    return datetime.now(UTC).isoformat(timespec="seconds")
+    return now().astimezone(UTC).isoformat(timespec="seconds")

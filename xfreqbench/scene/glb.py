@@ -111,9 +111,12 @@ def _nodes(header: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Float[Float
 def _local_matrix(node: dict[str, Any]) -> Float[FloatArray, "4 4"]:
     from scipy.spatial.transform import Rotation
 
-    if "matrix" in node:
-        return np.array(node["matrix"], np.float64).reshape(4, 4).T
     matrix = np.eye(4)
+    if "matrix" in node:
+        given: Float[FloatArray, "4 4"] = np.array(node["matrix"], np.float64).reshape(4, 4).T
+        if not np.allclose(given[3], matrix[3], atol=1e-6):
+            raise ValueError(f"the matrix of node {node.get('name')!r} ends in {given[3]}, where 0, 0, 0, 1 is needed")
+        return given
     turn = Rotation.from_quat(node.get("rotation", [0, 0, 0, 1])).as_matrix()
     matrix[:3, :3] = turn * np.array(node.get("scale", [1, 1, 1]), np.float64)
     matrix[:3, 3] = node.get("translation", [0, 0, 0])
@@ -183,7 +186,10 @@ def _accessor(header: dict[str, Any], binary: bytes, index: int, types: dict[int
     """Values (N, columns) of an accessor into the file's own buffer, at most as many as the buffer holds."""
     accessor = header["accessors"][index]
     if "sparse" in accessor or "bufferView" not in accessor:
-        raise ValueError(f"accessor {index} is sparse or empty; export without sparse accessors or blend shapes")
+        named = {*header.get("extensionsUsed", ()), *header.get("extensionsRequired", ())}
+        compressions = sorted(name for name in named if "compression" in name)
+        fault = f"compressed by {', '.join(compressions)}" if compressions else "sparse or empty"
+        raise ValueError(f"accessor {index} is {fault}; export without compression and sparse accessors")
     view = header["bufferViews"][accessor["bufferView"]]
     if view.get("buffer", 0) != 0 or "uri" in header["buffers"][0]:
         raise ValueError("its geometry is in another file; export it as one .glb")
@@ -201,7 +207,9 @@ def _accessor(header: dict[str, Any], binary: bytes, index: int, types: dict[int
 def _triangles(corners: Int[IntArray, "n"], mode: int) -> Int[IntArray, "K 3"]:
     """Corners of a list, strip or fan of triangles; every second one of a strip is turned round."""
     if mode == _TRIANGLES:
-        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+        if len(corners) % 3:
+            raise ValueError(f"a list of triangles has {len(corners)} corners, which is no multiple of 3")
+        return corners.reshape(-1, 3)
     if mode == _FAN:
         return np.stack([np.full(max(0, len(corners) - 2), corners[0]), corners[1:-1], corners[2:]], axis=1)
     strip = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)

@@ -27,6 +27,7 @@ from xfreqbench.scene.materials import (
 from xfreqbench.types import FloatArray, IntArray
 
 MAX_TRIANGLES = 5_000_000  # and vertices, of a scene's mesh file
+MAX_SHAPES = 50_000
 
 
 class Triangles(NamedTuple):
@@ -100,10 +101,11 @@ class ImportedShape:
 def bounded(shapes: Iterable[ImportedShape], path: Path) -> Iterator[ImportedShape]:
     """The shapes of a file, one after another; raises `SceneError` once they are more than any solver can trace."""
     size = 0
-    for shape in shapes:
+    for number, shape in enumerate(shapes):
         size += max(map(len, shape.triangles))
-        if size > MAX_TRIANGLES:
-            raise SceneError(f"it holds more than {MAX_TRIANGLES:,} triangles. Simplify its meshes.")
+        if size > MAX_TRIANGLES or number == MAX_SHAPES:
+            most = f"{MAX_TRIANGLES:,} triangles or {MAX_SHAPES:,} objects"
+            raise SceneError(f"it holds more than {most}. Simplify its meshes, and join those of one material.")
         yield shape
 
 

@@ -6,6 +6,7 @@ import codecs
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -13,12 +14,12 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.errors import SceneError
+from xfreqbench.errors import SceneError, StorageError
 from xfreqbench.scene.glb import read_glb
 from xfreqbench.scene.imported import ImportedShape, StatedMaterial, Triangles, bounded, slab_of
 from xfreqbench.scene.materials import SceneMaterial
 from xfreqbench.scene.polygons import triangulated
-from xfreqbench.system.files import read_bytes
+from xfreqbench.system.files import read_bytes, system_errors
 from xfreqbench.types import FloatArray
 
 MeshKind = Literal["ply", "stl", "obj"]
@@ -39,10 +40,31 @@ def read_mesh(path: Path, kind: MeshKind) -> Triangles:
     content = read_bytes(path)
     if kind == "obj":
         return _merged([part.triangles for part in _obj_parts(content)])
-    with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later
-        if kind == "ply":
-            return _read_ply(content)
-        return _loaded(trimesh.load_mesh(io.BytesIO(_whole_stl(content)), file_type="stl", process=False))
+    if kind == "ply":
+        return _read_ply(content)
+    return _loaded(trimesh.load_mesh(io.BytesIO(_whole_stl(content)), file_type="stl", process=False))
+
+
+@contextmanager
+def mesh_errors(source: str, path: Path) -> Iterator[None]:
+    """Turn whatever the reading of a mesh file raises into a `SceneError`, or a `StorageError` of the system.
+
+    `source` says in words which file it is.
+    """
+    try:
+        with system_errors(path), np.errstate(all="ignore"):  # numbers that no float holds are refused later
+            yield
+    except StorageError:
+        raise
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from error
+    except Exception as error:  # of a file that may hold anything
+        fault = getattr(error, "strerror", None) or error
+        if isinstance(error, KeyError):
+            fault = f"it lacks {error}"
+        elif isinstance(error, TypeError | AttributeError | IndexError):
+            fault = f"its parts do not fit together, {error}"
+        raise SceneError(f"{source} cannot be read: {fault}.") from error
 
 
 def _loaded(mesh: Any) -> Triangles:
@@ -172,22 +194,10 @@ def read_scene(path: Path, materials: Mapping[str, SceneMaterial]) -> list[Impor
     `materials` is the scene's own table, by the names that the file uses. Raises `SceneError` for a file that cannot
     be read.
     """
-    try:
-        if path.suffix.lower() == ".obj":
-            parts = _obj_parts(read_bytes(path))
-            read = iter([part.shape(materials) for part in parts])
-        else:
-            read = read_glb(read_bytes(path), materials)
+    with mesh_errors(f"The scene {path}", path):
+        content, is_obj = read_bytes(path), path.suffix.lower() == ".obj"
+        read = (p.shape(materials) for p in _obj_parts(content)) if is_obj else read_glb(content, materials)
         shapes = list(bounded(read, path))
-    except SceneError as error:
-        raise SceneError(f"{path}: {error}") from error
-    except Exception as error:  # of a file that may hold anything
-        fault = getattr(error, "strerror", None) or error
-        if isinstance(error, KeyError):
-            fault = f"it lacks {error}"
-        elif isinstance(error, TypeError | AttributeError | IndexError):
-            fault = f"its parts do not fit together, {error}"
-        raise SceneError(f"The scene {path} cannot be read: {fault}.") from error
     if not shapes:
         raise SceneError(f"The scene {path} holds no triangles. Export it with its meshes.")
     return shapes

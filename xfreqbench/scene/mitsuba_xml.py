@@ -33,7 +33,7 @@ from xfreqbench.scene.materials import (
     SceneMaterial,
     material_bands,
 )
-from xfreqbench.scene.mesh_files import MeshKind, read_mesh
+from xfreqbench.scene.mesh_files import MeshKind, mesh_errors, read_mesh
 from xfreqbench.system.files import require_regular
 from xfreqbench.types import FloatArray
 
@@ -104,11 +104,8 @@ def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[Imp
             if "\\" in filename and not file.exists():  # as Windows writes it
                 file = path.parent / filename.replace("\\", "/")
             source = f"{path}: the mesh {file} of shape {name!r}"
-            try:
+            with mesh_errors(source, file):  # trimesh raises whatever its parsers do
                 triangles = meshes(file, cast("MeshKind", kind))
-            except Exception as error:  # trimesh raises whatever its parsers do
-                fault = getattr(error, "strerror", None) or error
-                raise SceneError(f"{source} cannot be read: {fault}.") from error
         placed = _placed(triangles, shape, where)
         if shape.find("./boolean[@name='flip_normals'][@value='true']") is not None:
             placed = placed._replace(triangles=placed.triangles[:, ::-1])

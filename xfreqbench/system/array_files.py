@@ -17,12 +17,13 @@ import numpy as np
 from numpy.lib import format as npy
 
 from xfreqbench.errors import DataError
-from xfreqbench.system.files import read_bytes
+from xfreqbench.system.files import read_bytes, system_errors
 from xfreqbench.system.machine import available_memory_mib
 from xfreqbench.types import NDArray
 
+MOST_COMPRESSED = 1032  # bytes that one byte on disk can stand for: the limit of deflate
 _KINDS = {"real": "fiu", "text": "U"}
-_MATLAB_5, _MATRIX, _COMPRESSED = b"MATLAB 5.0 MAT-file", 14, 15
+_MATLAB_5, _MATLAB_7_3, _MATRIX, _COMPRESSED = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file", 14, 15
 _NUMBERS = {1: "<i1", 2: "<u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 9: "<f8", 12: "<i8", 13: "<u8"}
 _NARROW = tuple(map(np.dtype, ("i1", "u1", "i2", "u2", "i4", "u4")))  # of whole numbers of any class
 _OF_CLASS = ("<f8", "<f4", "<i1", "<u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8")
@@ -38,7 +39,7 @@ def read_arrays(
     A kind is `real`, `text` or NumPy's name of a type, and then the array is in the order of C. An axis is a number or
     a name: axes of one name are as long as `sizes` says, or as the first of them, which is written there. `digest` is
     updated with the bytes of the file. Raises `DataError`, with `advice`, for whatever differs from that, and for files
-    that cannot be read, are damaged, hold objects or are larger than memory.
+    that are missing, damaged or hold objects, and `StorageError` where the system cannot read them into memory.
     """
     try:
         content = read_bytes(path)
@@ -66,22 +67,34 @@ def read_arrays(
 def unpacked(path: Path, content: bytes, names: Iterable[str] | None, advice: str) -> dict[str, NDArray[Any]]:
     """Arrays in the bytes of a file by name, all of them or those asked for, of any kind but objects.
 
-    Raises `DataError` with the file's name and `advice`.
+    Raises `DataError` with the file's name and `advice`, and `StorageError` where memory does not hold them.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # about what no program that we know writes
-            return _of_matlab(content, names or ()) if path.suffix == ".mat" else _of_numpy(content, names)
-    except Exception as error:  # zipfile, zlib and NumPy raise of every kind for what they did not write
-        raise DataError(f"{path} is damaged, lacks an array or is larger than memory. {advice}") from error
+    if content.startswith(_MATLAB_7_3):
+        advice = "Save it again as version 7: save(FILE, VARIABLES, '-v7')."
+        raise DataError(f"{path} is of MATLAB 7.3, which is HDF5 and not read here. {advice}")
+    with system_errors(path):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # about what no program that we know writes
+                return _of_matlab(content, names or ()) if path.suffix == ".mat" else _of_numpy(content, names)
+        except MemoryError:
+            raise
+        except Exception as error:  # zipfile, zlib and NumPy raise of every kind for what they did not write
+            raise DataError(f"{path} is damaged or lacks an array. {advice}") from error
+
+
+def _require_memory(num_bytes: int) -> None:
+    if num_bytes / 2**20 > available_memory_mib():
+        raise MemoryError(num_bytes)
 
 
 def _of_numpy(content: bytes, names: Iterable[str] | None) -> dict[str, NDArray[Any]]:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         held = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
         members = {name: held[name] for name in (held if names is None else names)}
-        if sum(member.file_size for member in members.values()) / 2**20 > available_memory_mib():
-            raise MemoryError
+        if any(member.file_size > MOST_COMPRESSED * len(content) for member in members.values()):
+            raise ValueError(members)
+        _require_memory(2 * sum(member.file_size for member in members.values()))  # for each is copied once
         return {name: _of_member(archive.read(member)) for name, member in members.items()}  # to its end: sums hold
 
 
@@ -91,7 +104,8 @@ def _of_member(content: bytes) -> NDArray[Any]:
     shape, is_fortran, dtype = _HEADERS[npy.read_magic(file)](file)
     if dtype.hasobject or dtype.itemsize * math.prod(shape) != len(content) - file.tell():
         raise ValueError(shape)
-    return np.frombuffer(bytearray(file.read()), dtype).reshape(shape, order="F" if is_fortran else "C")
+    array = np.frombuffer(bytearray(memoryview(content)[file.tell() :]), dtype)
+    return array.reshape(shape, order="F" if is_fortran else "C")
 
 
 def _of_matlab(content: bytes, names: Iterable[str]) -> dict[str, NDArray[Any]]:
@@ -103,7 +117,10 @@ def _of_matlab(content: bytes, names: Iterable[str]) -> dict[str, NDArray[Any]]:
         kind, matrix, rest = _element(rest)
         if kind == _COMPRESSED:
             stream, most = zlib.decompressobj(), int(min(available_memory_mib() * 2**20, sys.maxsize))
-            kind, matrix, left = _element(memoryview(stream.decompress(matrix, most)))
+            inflated = stream.decompress(matrix, most)
+            if len(inflated) == most:
+                raise MemoryError(most)
+            kind, matrix, left = _element(memoryview(inflated))
             if left or not stream.eof or stream.unused_data:  # at its end it has compared the sum
                 raise ValueError(kind)
         _, flags, parts = _element(matrix)
@@ -115,10 +132,11 @@ def _of_matlab(content: bytes, names: Iterable[str]) -> dict[str, NDArray[Any]]:
             if parts or (stored != of_class and stored not in _NARROW):  # or it has an imaginary part
                 raise ValueError(number)
             shape = np.frombuffer(lengths, "<i4").tolist()
-            array = np.frombuffer(values, stored).astype(of_class)
+            array = np.frombuffer(values, stored)
             if math.prod(shape) != array.size or min(shape) < 0:
                 raise ValueError(shape)
-            found[bytes(name).decode()] = array.reshape(shape, order="F")
+            _require_memory(array.size * of_class.itemsize)
+            found[bytes(name).decode()] = array.astype(of_class).reshape(shape, order="F")
     return {name: found[name] for name in names}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from pathlib import Path
 
 _PACKAGE = Path(__file__).parents[1]
@@ -15,13 +16,14 @@ def settle_caches() -> None:
 
     Without one, libraries fail, or make a folder `~` in each working folder. Ours is `xfreqbench-UID` in the folder for
     temporary files. Where another user may own that, compiled code is kept in a folder that is removed with this
-    process, and a warning says so. Variables that are set stay as they are.
+    process, and a warning says so. Variables stay as they are where they name folders that can be written.
     """
     if all(map(_is_writable, _home_folders())):
         return
     # Numba keeps what it compiles beside its source where it can
-    is_enough = all(os.access(path, os.W_OK) for path in (_PACKAGE, _PACKAGE / "scene"))
-    missing = [name for name in _VARIABLES if name not in os.environ and not (is_enough and name == "NUMBA_CACHE_DIR")]
+    sound = {"NUMBA_CACHE_DIR"} if all(map(_is_writable, (_PACKAGE, _PACKAGE / "scene"))) else set()
+    sound |= {name for name in _VARIABLES if name in os.environ and _is_writable(Path(os.environ[name]).absolute())}
+    missing = _VARIABLES.keys() - sound
     if missing:
         folder = _own_folder() or _passing_folder()
         os.environ.update({name: str(folder / _VARIABLES[name]) for name in missing} if folder else {})
@@ -46,17 +48,18 @@ def _home_folders() -> list[Path]:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Whether files can be put into a folder, or it can be made; no relative one."""
+    """Whether files can be put into a folder, or it can be made; no relative one. One is put there: systems may err."""
     if not folder.is_absolute():
         return False
-    nearest = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
-    return nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK)
+    try:
+        tempfile.TemporaryFile(dir=next(place for place in (folder, *folder.parents) if os.path.lexists(place))).close()
+    except OSError:
+        return False
+    return True
 
 
 def _own_folder() -> Path | None:
     """The folder that this user's processes share; None where it is, or may be, another's: code is loaded from it."""
-    import tempfile
-
     try:
         folder = Path(tempfile.gettempdir()) / f"xfreqbench-{os.getuid()}"
         if folder.parent == Path.cwd():  # where nothing else can be written
@@ -73,7 +76,6 @@ def _passing_folder() -> Path | None:
     """A folder that goes with this process; None where there is no place for one."""
     import atexit
     import shutil
-    import tempfile
 
     advice = "Set NUMBA_CACHE_DIR and MPLCONFIGDIR to folders of your own."
     try:

@@ -15,13 +15,13 @@ import stat
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
 from xfreqbench.errors import InUseError, OutputExistsError, StorageError
+from xfreqbench.system.machine import now
 
 _LONGEST_BATCH = 256  # bytes of names within the folder of batches of an output
 _LOCK_POLL_S = 0.02  # between two tries for a lock that another process holds
@@ -185,6 +185,29 @@ def storage_errors(path: Path, num_bytes: int = 0) -> Iterator[None]:
         ) from error
 
 
+# Errors that say what is at a path; others say only that the system could not read it.
+_OF_THE_PATH = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.EINVAL)
+
+
+@contextmanager
+def system_errors(path: Path) -> Iterator[None]:
+    """Turn errors within the block that say nothing about a file's content into a `StorageError`.
+
+    These are too little memory, a missing permission, and failures of a disk or a server, which may pass.
+    """
+    try:
+        yield
+    except MemoryError as error:
+        raise StorageError(
+            f"{path} cannot be read: there is not enough memory. Close other programs, or use a machine with more."
+        ) from error
+    except OSError as error:
+        if error.errno is None or error.errno in _OF_THE_PATH:  # without a number: a library's, of the content
+            raise
+        advice = "Correct its permissions" if isinstance(error, PermissionError) else "Try again later"
+        raise StorageError(f"{path} cannot be read: {os.strerror(error.errno)}. {advice}.") from error
+
+
 def require_name(target: Path) -> None:
     """Raise `StorageError` where the name of a new output is too long for what is beside it while it is written."""
     names = _partial(target), target.with_name(f".{target.name}.parts.01234567.removed")
@@ -278,7 +301,7 @@ def sole_worker(lock: Path, output: Path) -> Iterator[str]:
             raise InUseError(
                 f"{output} is being written by {holder}. Wait until that one ends, or choose another output."
             ) from error
-        since = datetime.now().astimezone().isoformat(" ", "seconds")
+        since = now().isoformat(" ", "seconds")
         holder = f"process {os.getpid()} on {platform.node()}, since {since}"
         is_first = held.lock_counter == 1
     try:
@@ -322,8 +345,9 @@ def read_text(path: Path) -> str:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The bytes in a file; raises as `require_regular`."""
-    return require_regular(path).read_bytes()
+    """The bytes in a file; raises as `require_regular` and `system_errors`."""
+    with system_errors(path):
+        return require_regular(path).read_bytes()
 
 
 def json_sha256(content: Any) -> str:

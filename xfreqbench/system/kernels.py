@@ -23,6 +23,7 @@ import numba
 from numba.core import config
 from numba.core.caching import FunctionCache
 
+from xfreqbench.errors import XFreqBenchError
 from xfreqbench.system.bars import announce_compilation
 from xfreqbench.system.machine import safe_path
 
@@ -39,14 +40,18 @@ def entry(sources: str | None = None, **options: Any) -> Callable[[Kernel], Kern
 
     Kernels that it calls are `numba.njit` without a cache: code from the cache is called, not made part of the
     kernel, and then rounds otherwise. It is compiled anew where the file that it stands in has changed, or, if
-    `sources` is given, where that has.
+    `sources` is given, where that has. Raises `XFreqBenchError` where no folder of a cache can be written.
     """
 
     def compiled(function: Kernel) -> Kernel:
         if config.DISABLE_JIT:  # type: ignore[attr-defined]  # NUMBA_DISABLE_JIT=1, to debug
             return function
         kernel: Any = numba.njit(**options)(function)
-        kernel._cache = _Cache(kernel.py_func)  # type: ignore[no-untyped-call]
+        try:
+            kernel._cache = _Cache(kernel.py_func)  # type: ignore[no-untyped-call]
+        except RuntimeError as error:
+            advice = "Set NUMBA_CACHE_DIR to a folder that can be written."
+            raise XFreqBenchError(f"There is no folder for compiled kernels. {advice}") from error
         if sources is not None:
             kernel._cache._cache_file._source_stamp = sources
         return kernel

@@ -8,6 +8,7 @@ import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
+from datetime import datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -35,6 +36,14 @@ def require_working_folder() -> None:
         Path.cwd()
     except FileNotFoundError as error:
         raise XFreqBenchError("The working folder has been removed. Change into one that is there.") from error
+
+
+def now() -> datetime:
+    """This moment, in the time zone of the machine; raises `XFreqBenchError` where its clock is past the year 9999."""
+    try:
+        return datetime.now().astimezone()
+    except (ValueError, OverflowError) as error:
+        raise XFreqBenchError("The clock of this machine is past the year 9999. Set it right.") from error
 
 
 def require_thread_count() -> None:

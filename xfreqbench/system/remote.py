@@ -14,6 +14,7 @@ from typing import Any
 from xfreqbench.errors import DataError, XFreqBenchError
 
 _TIMEOUT_S = 30.0  # for the first byte
+MOST_BYTES = 200_000_000  # of records, or of what describes a collection; the reference records have 25 MB
 
 
 class RemotePath(PosixPath):
@@ -35,13 +36,13 @@ class RemotePath(PosixPath):
         return _opened(str(self), os.getpid())
 
     def read_bytes(self) -> bytes:
-        """All bytes of the file; raises as `ranges`, and `DataError` where the server fails."""
+        """All bytes of the file; raises as `ranges`, and `DataError` where the server fails, or has too many."""
         file = self.ranges()
         try:
-            file.seek(0, os.SEEK_END)
-            num_bytes = file.tell()
+            if file.length > MOST_BYTES:
+                raise ValueError(f"it has {file.length:,} bytes, more than {MOST_BYTES:,}")
             file.seek(0)
-            return bytes(file.read(num_bytes))
+            return bytes(file.read(file.length))
         except Exception as error:  # remfile's have no other type
             raise DataError(f"{self} cannot be read: {error}. Try again later.") from error
 

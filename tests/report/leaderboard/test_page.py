@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import json
 import re
 from base64 import b64decode
@@ -134,6 +135,26 @@ def test_a_board_is_at_an_address_or_a_frozen_version(tmp_path: Path, monkeypatc
     monkeypatch.setattr("xfreqbench.report.leaderboard.results.files", lambda package: tmp_path)
     with pytest.raises(DataError, match="not the frozen version 'v1'"):
         results_at("v1")
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (gzip.compress(bytes(2_000_000)), r"holds more than 1 MB\. Download it yourself"),
+        (gzip.compress(bytes(2000)), "is no file of records"),
+        (gzip.compress(b""), "holds no records"),
+    ],
+)
+def test_what_an_address_gives_is_bounded_and_goes_when_it_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes, told: str
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr("xfreqbench.report.leaderboard.results.MOST_BYTES", 1_000_000)
+    with served(content) as server:
+        server.encoding = "gzip"
+        with pytest.raises(DataError, match=told):
+            results_at(server.url)
+    assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
 
 
 def test_what_is_not_finite_is_null_and_sorts_as_infinity(tmp_path: Path) -> None:

@@ -61,6 +61,7 @@ LINES: dict[str, tuple[str, ...]] = {
         "compare results/records.jsonl results",
         *(_BENCHMARK, _REPORT, _FINDINGS, _RESIDUAL),
     ),
+    "collection": ("info rooms", "export rooms -o new --to webdataset -q"),
     "split file": (f"split --data {DATA} -o split.h5 --targets 10 --maps -q",),
     "predictions made elsewhere": (f"{_SCORE} new",),
     "PNG folder": ("import maps -o new.h5 -q",),

@@ -7,6 +7,7 @@ import hashlib
 import io
 import json
 import lzma
+import struct
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
@@ -154,7 +155,31 @@ def _scenarios(root: str, write: Callable[..., bytes]) -> st.SearchStrategy[Dama
         lambda path: in_place_of(path, cut_or_flipped(files[path]) | st.none())
     )
     spoilt = st.one_of([spoilt_array(path) for path in arrays])
-    return spoilt | spoilt | in_place_of(parameters, told) | bytes_
+    return spoilt | spoilt | in_place_of(parameters, told) | bytes_ | _bombs(root, write)
+
+
+def _collections() -> st.SearchStrategy[Damage]:
+    """What describes the rooms spoilt, with names of files that lead elsewhere, or a room of other bytes."""
+    told = json.loads(sound_files()["rooms/collection.json"])
+    names = st.sampled_from(["../data/room.toml.h5", "/etc/passwd", "one.h5/x.h5", "x" * 300 + "/one.h5"])
+    elsewhere = names.map(lambda name: {**told, "rooms": [{**told["rooms"][0], "file": name}]})
+    described = (spoilt_json(told) | elsewhere).map(json.dumps).map(str.encode)
+    bytes_ = cut_or_flipped(sound_files()["rooms/collection.json"]) | st.none()
+    room = in_place_of("rooms/one.h5", torn(sound_files()["rooms/one.h5"]) | st.none())
+    return in_place_of("rooms/collection.json", described | described | bytes_) | room
+
+
+def _bombs(root: str, write: Callable[..., bytes]) -> st.SearchStrategy[Damage]:
+    """Arrays that take a thousand times as much memory as the file, and sizes that no file has."""
+    path = next(path for path in sound_files() if path.startswith(root) and "/power_t000" in path)
+    numbers = [0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFE, 0xFFFFFFFF]
+    number = st.sampled_from([struct.pack("<I", size) for size in numbers])
+    content = sound_files()[path]
+    sizes = st.builds(
+        lambda at, size: content[:at] + size + content[at + 4 :], st.integers(0, len(content) - 4), number
+    )
+    zeros = st.sampled_from([10**7, 10**8]).map(lambda size: lambda: write(power=np.zeros((1, size), "u1")))
+    return in_place_of(path, sizes | sizes | zeros)
 
 
 def _fingerprints() -> st.SearchStrategy[Damage]:
@@ -173,13 +198,13 @@ def _fingerprints() -> st.SearchStrategy[Damage]:
 
 def _npz(**arrays: Any) -> bytes:
     buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
+    np.savez_compressed(buffer, **arrays)
     return buffer.getvalue()
 
 
 def _mat(**arrays: Any) -> bytes:
     buffer = io.BytesIO()
-    scipy.io.savemat(buffer, arrays)
+    scipy.io.savemat(buffer, arrays, do_compression=True)
     return buffer.getvalue()
 
 
@@ -190,6 +215,7 @@ _DAMAGES: dict[str, Callable[[], st.SearchStrategy[Damage]]] = {
     "checkpoint": _checkpoints,
     "records": _records,
     "maps to show": _maps,
+    "collection": _collections,
     "split file": lambda: in_place_of("split.h5", hdf5_files(sound_files()["split.h5"])),
     "predictions made elsewhere": lambda: in_place_of("theirs.h5", hdf5_files(sound_files()["theirs.h5"], _DECLARED)),
     "PNG folder": png_folders,

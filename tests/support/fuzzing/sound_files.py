@@ -20,6 +20,7 @@ from tests.support.found_box import ALL_PLANES, SCENE
 from tests.support.fuzzing.common import xfreqbench
 from tests.support.fuzzing.png import write_png_folder
 from tests.support.fuzzing.scenes import ASCII_PLY, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
+from xfreqbench.data.collection import room_of, write_collection
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.fitting import Fit
@@ -73,6 +74,7 @@ def sound_files() -> dict[str, bytes]:
         ):
             outcome = xfreqbench(*line.split(), is_bounded=False)
             assert outcome.code == 0, outcome
+        _collect(Path("rooms"))
         _tell_findings(ResultsFolder(Path("results")))
         _kill_a_fit()
         _write_predictions(Path("split.h5"), Path("theirs.h5"))
@@ -90,6 +92,14 @@ def _write_scenes() -> None:
     Path("wall.ply").write_text(ASCII_PLY, "utf-8")
     rows = (f"{0.7 + 0.05 * n},{1.1 + n % 3},1.2,{-40 - n % 7}" for n in range(40))
     Path("measured.csv").write_text("\n".join(["x,y,z,power", *rows]), "utf-8")
+
+
+def _collect(folder: Path) -> None:
+    """A collection of the data set alone."""
+    folder.mkdir()
+    shutil.copy(DATA, folder / "one.h5")
+    rooms = [room_of(folder, "one.h5", 1, "office")]
+    write_collection(folder, rooms, name="rooms", family={}, options={}, carrier_hz=(1e9, 10e9))
 
 
 def _tell_findings(folder: ResultsFolder) -> None:
@@ -121,12 +131,14 @@ def _kill_a_fit() -> None:
 
 
 def _write_predictions(split: Path, path: Path) -> None:
-    """Predictions as somebody else would write them: the attributes of the split file, maps of ones."""
+    """Predictions as somebody else would write them: the attributes of the split file, coordinates, maps of ones."""
     with h5py.File(split, "r") as known, h5py.File(path, "w", libver="latest") as file:
         group = file.create_group(SPLIT)
         group.attrs.update(known[SPLIT].attrs)
         group.attrs["method"] = "mine"
         group["pas"] = np.ones((len(known[f"{SPLIT}/test_row"]), 90, 360), "f4")
+        for name in ("test_row", "test_tx_position_m", "azimuth_deg"):
+            group[name] = known[f"{SPLIT}/{name}"][...]
 
 
 def _write_mats(scenarios: Path, folder: Path) -> None:

@@ -19,6 +19,7 @@ from xfreqbench.report.leaderboard.unseen_rooms import is_of_rooms, room_tables
 from xfreqbench.runs.folder import RECORDS_NAME, ResultsFolder
 from xfreqbench.runs.records import BenchRecord, RunRecord
 from xfreqbench.system.files import read_bytes
+from xfreqbench.system.remote import MOST_BYTES
 
 VERSIONS, RECORDS_ENDING = "versions.txt", ".jsonl"  # a line each, beside our methods: file, sha256 and maybe address
 
@@ -50,14 +51,14 @@ def results_at(name: str | Path) -> Path:
     """
     text = str(name)
     if text.startswith(("http://", "https://")):
-        return fetch_file(text, fresh=True)
+        return fetch_file(text, _require_records, fresh=True, most_bytes=MOST_BYTES)
     folder = Path(str(files("xfreqbench.baselines")))
     known = registered(folder / VERSIONS, RECORDS_ENDING)
     if text not in known or Path(text).exists():
         return Path(text)
     file, sha256, url = known[text]
     if url is not None:
-        return fetch_file(url, sha256)
+        return fetch_file(url, _require_records, sha256)
     path = folder / file
     if not path.exists() or hashlib.sha256(read_bytes(path)).hexdigest() != sha256:
         raise DataError(f"{path} is not the frozen version {text!r}: its sha256 is not that of {folder / VERSIONS}.")
@@ -81,9 +82,7 @@ def read_results(results: Results) -> RankedResults:
             raise DataError(f"{path} does not exist. Give a results folder, which `xfreqbench run` writes, or a file.")
     folders = tuple(map(ResultsFolder.holding, paths))
     for folder in folders:
-        if not (folder.records or folder.stored.benches):
-            raise DataError(f"{folder.records_path} holds no records. Run `xfreqbench run` first, or mend the path.")
-        _require_scores(folder.records_path, folder.records)
+        _require_records(folder)
     names = _names(folders)
     records: dict[RecordKey, RunRecord] = {}
     sources: dict[RecordKey, str] = {}
@@ -123,9 +122,13 @@ def latest_benches(benches: Iterable[BenchRecord]) -> list[BenchRecord]:
     return sorted(latest.values(), key=lambda record: (record.time_utc, record.title))
 
 
-def _require_scores(path: Path, records: Iterable[RunRecord]) -> None:
-    """Raise `DataError` for the first record that lacks a metric. No run writes such a record."""
-    for record in records:
+def _require_records(results: ResultsFolder | Path) -> None:
+    """Raise `DataError` where there are no records, or one lacks a metric. No run writes such a record."""
+    folder = ResultsFolder.holding(results) if isinstance(results, Path) else results
+    path = folder.records_path
+    if not (folder.records or folder.stored.benches):
+        raise DataError(f"{path} holds no records. Run `xfreqbench run` first, or mend the path.")
+    for record in folder.records:
         missing = METRICS.keys() - record.scores.keys()
         if missing:
             raise DataError(
