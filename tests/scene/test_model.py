@@ -233,7 +233,7 @@ def test_a_scene_with_faults_lists_them_all_with_their_places() -> None:
         ("position_m = [2.0, 2.0, 2.5]", "position_m = [2.0, inf, 2.5]", "finite"),
         ("[receiver]", "[receiver", "not TOML"),
         ('name = "box"', 'name = "box"\nunit = "mm"', "'unit' is about the meshes of a file, but the scene names none"),
-        ('name = "box"', 'name = "box"\noutside = true', "'outside' is about the meshes of a file"),
+        ('name = "box"', 'name = "box"\nup = "y"', "'up' is about the meshes of a file"),
     ],
 )
 def test_scenes_that_mean_nothing_are_refused(old: str, new: str, message: str) -> None:

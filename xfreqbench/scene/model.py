@@ -55,7 +55,7 @@ Orientation = tuple[Degrees, Degrees, Degrees]  # bearing, downtilt and slant: s
 _STRICT = ConfigDict(extra="forbid")
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
 UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
-_OF_FILE = ("up", "unit", "outside", "mirrors", "least_patch_area_m2", "least_patch_width_m")  # of a scene
+_OF_FILE = ("up", "unit", "mirrors", "least_patch_area_m2", "least_patch_width_m")  # of a scene
 _NOT_IN_TOML = {"folder", "other_receivers"}
 _ALWAYS_WRITTEN = {"name", "receiver", "description", "surface", "scene"}  # in JSON; other fields if they are given
 
@@ -312,7 +312,7 @@ class Scene:
     `scene` may name a file whose meshes are added to the surfaces: a Mitsuba XML, GLB or OBJ, relative to `folder`,
     or `sionna:NAME` for a scene that Sionna RT brings. In the file the axis `up` points upwards, by default y in a GLB,
     as glTF demands, and z in the others, and lengths are in `unit`, by default metres. `outside` says that the array,
-    or all transmitters, are meant to stand outside of all meshes. `material` names materials. `rooms` names closed
+    or all transmitters, are meant to stand outside of all surfaces. `material` names materials. `rooms` names closed
     meshes whose inside is free space; without it, they are found. `closed` promises that nothing leads out of the room
     of the receiver. A file may have several `[[receiver]]`, each with a name: those after the first are
     `other_receivers`. `transmitter_polarization` goes before what the grid of transmitters states.
