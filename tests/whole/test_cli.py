@@ -56,6 +56,10 @@ print("loaded", sorted({HEAVY!r} & set(sys.modules)))
         ("generate office -o x.h5 --freq 1", "--freqs"),
         ("generate office -o x.h5 --freqs 2400", "--freqs cannot use '2400'"),
         ("generate office -o x.h5 --freqs-ghz=x", "--freqs-ghz takes carriers in GHz"),
+        ("generate office -o x.h5 --freqs 2_4", "--freqs takes carriers in GHz, comma-separated"),
+        ("generate office -o x.h5 --tx 1.5", 'Invalid value for --tx: unable to convert "1.5" into int'),
+        ("import maps -o x.h5 --freq 2_4", 'Invalid value for --freq: unable to convert "2_4" into float'),
+        ("bench measured flat x.csv --freqs 2.4 --height 1_3", 'unable to convert "1_3" into float'),
         (
             "generate office -o x.h5 --receiver north",
             "There is no receiver 'north'. None has a name here: leave it out.",

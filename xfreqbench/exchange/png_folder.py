@@ -16,6 +16,7 @@ the folder has another convention.
 from __future__ import annotations
 
 import hashlib
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,13 +33,13 @@ from pydantic import ValidationError
 
 from xfreqbench.errors import DataError
 from xfreqbench.exchange.conventions import Convention
-from xfreqbench.exchange.positions import read_positions
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.array import quaternion_rotation
 from xfreqbench.scene.model import ReceiverArray
+from xfreqbench.scene.tables import Table, read_table
 from xfreqbench.system.files import read_text, require_regular, storage_errors
 from xfreqbench.types import FloatArray, NDArray
-from xfreqbench.units import format_ghz, ghz_to_hz
+from xfreqbench.units import format_ghz, ghz_to_hz, parse_number
 
 BRIGHTEST = 255
 MAX_PIXELS = 1_000_000  # a map with a step of a fifth of a degree has 810,000
@@ -46,6 +47,10 @@ Levels = UInt8[NDArray[np.uint8], "R C"]
 POSITIONS, CARRIERS, RECEIVER, MAPS = "tx_pos.csv", "freq.txt", "gateway_info.yml", "spectrum"
 CONVENTION = "convention"  # key of `gateway_info.yml` under which our exports say how the maps are drawn
 IGNORED = ("train_index.txt", "test_index.txt")
+_NUMBERED = re.compile(
+    r"(?<![\d.])(?<!^[-+])(\d{1,18})(\.[a-z]\w*)?$", re.IGNORECASE | re.ASCII
+)  # of an index or a file
+_INDEX = ("", "index", "sample")
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -131,7 +136,9 @@ def read_png_folder(folder: Path, convention: Convention, carrier_ghz: float | N
     """
     if not folder.is_dir():
         raise DataError(f"There is no folder {folder}. Give the folder that holds {POSITIONS} and {MAPS}.")
-    position_m = [tuple(place_m) for place_m in read_positions(folder / POSITIONS).tolist()]
+    table = read_table(folder / POSITIONS)
+    position_m = [tuple(place_m) for place_m in table.position_m().tolist()]
+    _check_order(table)
     sample_carrier_hz = _carriers_hz(folder / CARRIERS, carrier_ghz, len(position_m))
     if len(position_m) != len(sample_carrier_hz):
         raise DataError(
@@ -176,10 +183,10 @@ def _lines(path: Path) -> list[str]:
 def _numbers(text: str, count: int) -> tuple[float, ...] | None:
     """The numbers of a comma-separated text; None unless they are `count` finite numbers."""
     try:
-        numbers = tuple(float(part) for part in text.split(","))
+        numbers = tuple(parse_number(part) for part in text.split(","))
     except ValueError:
         return None
-    return numbers if len(numbers) == count and np.isfinite(numbers).all() else None
+    return numbers if len(numbers) == count else None
 
 
 def _carriers_hz(path: Path, told_ghz: float | None, num_samples: int) -> list[float]:
@@ -232,9 +239,9 @@ def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
 
 
 def _yaml(path: Path) -> dict[Any, Any]:
-    """The mapping in a YAML file; empty if the file holds something else."""
+    """The mapping in a YAML file, all values as texts: YAML takes 010 for 8. Empty if the file holds something else."""
     try:
-        content = yaml.safe_load("\n".join(_lines(path)))
+        content = yaml.load("\n".join(_lines(path)), yaml.BaseLoader)  # which makes texts, lists and mappings only
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise DataError(f"{path} is no YAML: {' '.join(str(error).split())}.") from error
     return content if isinstance(content, dict) else {}
@@ -245,7 +252,7 @@ def _check_declared(path: Path, content: dict[Any, Any], convention: Convention)
     declared, stated = content.get(CONVENTION), convention.drawing_fields()
     declared = declared if isinstance(declared, dict) else {}
     differing = [name for name, value in stated.items() if not _is_alike(declared.get(name, value), value)]
-    if any(not isinstance(declared[name], str | int | float) for name in differing):
+    if any(not declared[name] or not isinstance(declared[name], str) for name in differing):
         raise DataError(
             f"{path} has no value for {', '.join(differing)} under {CONVENTION!r}. Remove that line, and give what it "
             "meant by --set."
@@ -258,13 +265,10 @@ def _check_declared(path: Path, content: dict[Any, Any], convention: Convention)
 
 
 def _is_alike(declared: object, stated: object) -> bool:
-    """Whether two values are equal; numbers are compared as numbers, because YAML reads some of JSON's as texts."""
-    if isinstance(stated, str) or not isinstance(declared, str | int | float):
+    """Whether two values are equal, or a text shows the number that is stated."""
+    if isinstance(stated, str) or not isinstance(declared, str):
         return declared == stated
-    try:
-        return float(declared) == stated
-    except ValueError:
-        return False
+    return _numbers(declared, 1) == (stated,)
 
 
 def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
@@ -282,8 +286,7 @@ def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
 def _listed(path: Path, gateway: dict[Any, Any], key: str, count: int) -> tuple[float, ...]:
     """The numbers in the list under a key of the receiver."""
     listed = gateway[key] if isinstance(gateway[key], list) else []
-    listed = listed if all(isinstance(entry, str | int | float) for entry in listed) else []
-    numbers = _numbers(",".join(map(str, listed)), count)
+    numbers = _numbers(",".join(entry if isinstance(entry, str) else "" for entry in listed), count)
     if numbers is None:
         raise DataError(f"{path} must hold under {key!r} a list of {count} finite numbers, like {list(range(count))}.")
     return numbers
@@ -311,6 +314,26 @@ def _check_index_files(folder: Path, convention: Convention, num_samples: int) -
                     f"{first + num_samples - 1} (--set index=…). Splits are made here, so that this file may "
                     "also be deleted."
                 )
+
+
+def _check_order(table: Table) -> None:
+    """Raise `DataError` where a column says which map each line belongs to, in another order than that of the lines.
+
+    Such a column holds 0, 1, … or 1, 2, …, or different numbers under such a name or none, or names of images.
+    """
+    num_lines = len(table.lines)
+    for column in {*range(len(table.names))}.difference(table.axes()):
+        cells, name = table.columns[column], table.names[column]
+        found = [_NUMBERED.search(cell) for cell in cells]
+        numbers = [int(each[1]) for each in found if each]
+        ascending = sorted({*numbers})
+        counts = ascending in ([*range(num_lines)], [*range(1, num_lines + 1)]) or name.lower() in _INDEX
+        if len(ascending) == num_lines and (counts or all(each and each[2] for each in found)) and numbers != ascending:
+            row = next(row for row, number in enumerate(numbers) if number != ascending[row])
+            raise DataError(
+                f"{table.path}, line {table.lines[row]}, is of {cells[row]!r} by its column {name!r}, but lines are in "
+                "the order of maps. Sort them by that column, or remove it where it means something else."
+            )
 
 
 def _common_shape(paths: list[Path]) -> tuple[int, int]:

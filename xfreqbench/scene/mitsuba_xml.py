@@ -36,6 +36,7 @@ from xfreqbench.scene.materials import (
 from xfreqbench.scene.mesh_files import MeshKind, read_mesh
 from xfreqbench.system.files import require_regular
 from xfreqbench.types import FloatArray
+from xfreqbench.units import parse_number
 
 Element = ElementTree.Element
 
@@ -299,7 +300,11 @@ def _scattering(bsdf: Element, name: str, path: Path) -> Scattering | None:
     values = {child.get("name", ""): child.get("value", "") for child in bsdf}
     if "scattering_coefficient" not in values:
         return None
-    stated = {key: values[word] for key, word in _SCATTERING.items() if word in values}
+    stated = {
+        key: values[word] if key == "pattern" else _finite(values[word])
+        for key, word in _SCATTERING.items()
+        if word in values
+    }
     try:
         return TypeAdapter(Scattering).validate_python(stated)
     except ValidationError as error:
@@ -314,11 +319,7 @@ def _number(bsdf: Element, name: str, path: Path, least: float, most: float) -> 
     if stated is None:
         return None
     text = stated.get("value", "")
-    try:
-        number = float(text)
-    except ValueError:
-        number = np.nan
-    is_thickness = name == "thickness"
+    number, is_thickness = _finite(text), name == "thickness"
     if not least <= number <= most or (is_thickness and number == least):
         needed = (
             f"a number of metres above 0, up to {most:g}, or leave it out for {DEFAULT_THICKNESS_M:g}"
@@ -327,6 +328,14 @@ def _number(bsdf: Element, name: str, path: Path, least: float, most: float) -> 
         )
         raise SceneError(f"{path}: the {name} of material {bsdf.get('id', '')!r} is {text!r}. Give {needed}.")
     return number
+
+
+def _finite(text: str) -> float:
+    """The number that a text shows, or nan."""
+    try:
+        return parse_number(text)
+    except ValueError:
+        return math.nan
 
 
 def _check_shape(shape: Element, kind: str, where: str) -> None:
@@ -414,10 +423,7 @@ def vector(element: ElementTree.Element, where: str, default: float = 0.0) -> Fl
 
 def _numbers(text: str, element: ElementTree.Element, where: str, *counts: int) -> Float[FloatArray, "n"]:
     """Numbers of a text, separated by blanks or commas."""
-    try:
-        numbers = np.array([float(word) for word in text.replace(",", " ").split()])
-    except ValueError:
-        numbers = np.array([math.nan])
+    numbers = np.array([_finite(word) for word in text.replace(",", " ").split()])
     if len(numbers) not in counts or not np.isfinite(numbers).all():
         raise SceneError(
             f"{where} has a <{element.tag}> with {text[:60]!r}; give {' or '.join(map(str, counts))} finite numbers."
