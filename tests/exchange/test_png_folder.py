@@ -194,6 +194,22 @@ def test_a_map_of_too_many_pixels_is_refused_before_it_takes_memory(tmp_path: Pa
     assert shape_of(path) == read_levels(path).shape == (1000, 1000)
 
 
+def test_a_file_larger_than_any_map_or_receiver_is_not_read(tmp_path: Path) -> None:
+    """Each of a million empty chunks of a PNG takes time, and so does each word of a YAML file."""
+    folder = write_folder(tmp_path / "small")
+    path = folder / "spectrum" / "00001.png"
+    content, chunk = path.read_bytes(), struct.pack(">I4sI", 0, b"teSt", zlib.crc32(b"teSt"))
+    path.write_bytes(content[:33] + chunk * 333_334 + content[33:])
+    with pytest.raises(
+        DataError, match=r"00001\.png cannot be read as a PNG \(it has 4,[\d,]+ bytes, and 4,000,000 are"
+    ):
+        read(folder)
+    path.write_bytes(content)
+    write("gateway_info.yml", "a: [" + "1, " * 40_000 + "]\n")(folder)
+    with pytest.raises(DataError, match=r"gateway_info\.yml cannot be read: it has 120,006 bytes, and 100,000 are"):
+        read(folder)
+
+
 def test_a_flipped_bit_of_a_pixel_is_found(tmp_path: Path) -> None:
     path = tmp_path / "map.png"
     levels = np.random.default_rng(0).integers(0, 256, (9, 36)).astype(np.uint8)

@@ -90,6 +90,13 @@ def test_mistakes_end_with_code_2_and_words(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_message_quotes_no_more_than_a_screen_of_what_was_given() -> None:
+    told = xfreqbench("generate", "office", "-o", "x.h5", "--freqs", "1" * 100_000).stderr
+    assert told.startswith("xfreqbench: --freqs takes carriers in GHz")
+    assert " … " in told
+    assert len(told) < 10_000
+
+
 def test_a_shell_completes_commands_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     done = xfreqbench("--install-completion", "--shell", "bash")

@@ -21,7 +21,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import nan
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,7 @@ from xfreqbench.units import format_ghz, ghz_to_hz, parse_number
 
 BRIGHTEST = 255
 MAX_PIXELS = 1_000_000  # a map with a step of a fifth of a degree has 810,000
+_MAX_BYTES, _MAX_YAML_BYTES = 4_000_000, 100_000  # of a PNG, whose every chunk is read, and of a receiver
 Levels = UInt8[NDArray[np.uint8], "R C"]
 POSITIONS, CARRIERS, RECEIVER, MAPS = "tx_pos.csv", "freq.txt", "gateway_info.yml", "spectrum"
 CONVENTION = "convention"  # key of `gateway_info.yml` under which our exports say how the maps are drawn
@@ -84,7 +85,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is above ours
-            image = Image.open(require_regular(path), formats=["PNG"])
+            image = Image.open(require_regular(path, _MAX_BYTES), formats=["PNG"])
         with image:
             if image.width * image.height > MAX_PIXELS:
                 raise Image.DecompressionBombError
@@ -168,10 +169,10 @@ def map_path(folder: Path, number: int) -> Path:
     return folder / MAPS / f"{number:05d}.png"
 
 
-def _lines(path: Path) -> list[str]:
+def _lines(path: Path, most_bytes: float = inf) -> list[str]:
     """The lines of a text file, without blank lines at its end."""
     try:
-        return read_text(path).rstrip().splitlines()
+        return read_text(path, most_bytes).rstrip().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         fault = error.strerror if isinstance(error, OSError) else error
         raise DataError(
@@ -241,7 +242,8 @@ def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
 def _yaml(path: Path) -> dict[Any, Any]:
     """The mapping in a YAML file, all values as texts: YAML takes 010 for 8. Empty if the file holds something else."""
     try:
-        content = yaml.load("\n".join(_lines(path)), yaml.BaseLoader)  # which makes texts, lists and mappings only
+        text = "\n".join(_lines(path, _MAX_YAML_BYTES))
+        content = yaml.load(text, yaml.BaseLoader)  # which makes no objects but texts, lists and mappings
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise DataError(f"{path} is no YAML: {' '.join(str(error).split())}.") from error
     return content if isinstance(content, dict) else {}

@@ -213,11 +213,11 @@ def _bsdf_of(shape: Element, bsdfs: dict[str, Element], where: str) -> Element:
 
 def _nested(bsdf: Element, bsdfs: dict[str, Element]) -> list[Element]:
     """A material and all that it wraps, as `twosided` does, or refers to, the outer before the inner."""
-    found = [bsdf]
+    found, met = [bsdf], {id(bsdf)}
     for outer in found:  # which grows
         inner = [*outer.findall("./bsdf"), *(bsdfs.get(ref.get("id", "")) for ref in outer.findall("./ref"))]
-        met = set(map(id, found))
         found += [one for one in inner if one is not None and id(one) not in met]
+        met.update(map(id, inner))
     return found
 
 

@@ -96,7 +96,7 @@ def read_table(path: Path) -> Table:
         first = min(lines, default=1)
         separator = _separator(lines.get(first, ""))
         rows = {number: cells for number, line in lines.items() if any(cells := _cells(line, separator))}
-        titles = [_title(line) for line in text[: first - 1]]
+        titles = [_title(line) for line in text[: first - 1][-100:]]
     except (OSError, UnicodeError, csv.Error) as error:
         fault = error.strerror if isinstance(error, OSError) else error
         raise DataError(f"{path} cannot be read: {fault}. {_ADVICE}") from error
