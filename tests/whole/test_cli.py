@@ -54,7 +54,7 @@ print("loaded", sorted({HEAVY!r} & set(sys.modules)))
         ("run --method nearest --results results --data x.h5 --on tests", 'Choose from: "test", "validation"'),
         ("split -o x.h5 --data x.h5 --on tests", 'Choose from: "test", "validation"'),
         ("generate office -o x.h5 --freq 1", "--freqs"),
-        ("generate office -o x.h5 --freqs 2400", "--freqs cannot use '2400'"),
+        ("generate office -o x.h5 --freqs 2400", "cannot use '2400': a carrier in GHz is at most"),
         ("generate office -o x.h5 --freqs-ghz=x", "--freqs-ghz takes carriers in GHz"),
         ("generate office -o x.h5 --freqs 2_4", "--freqs takes carriers in GHz, comma-separated"),
         ("generate office -o x.h5 --tx 1.5", 'Invalid value for --tx: unable to convert "1.5" into int'),

@@ -59,10 +59,10 @@ def read_measurement(
         accepted = ("power", "power_db") if name is None else (name,)
         found = [n for n, given in enumerate(table.names) if given in accepted or (name and given.endswith(f"_{name}"))]
         if len(found) != 1:
+            wanted = f"{name}, or so that it ends in _{name}" if name else "power or power_db"
             raise DataError(
                 f"{path} has {len(found)} columns for {f'receiver {name}' if name else 'the power'}; its columns are "
-                f"{', '.join(table.names)}. Name one {' or '.join(accepted)}"
-                + (f", or so that it ends in _{name}." if name else ".")
+                f"{', '.join(table.names)}. Name one {wanted}."
             )
         powers.append(table.numbers(found[0], missing=("", "nan", "-inf")))
         _require_measured(powers[-1], f"{path}, column {table.names[found[0]]},")

@@ -111,6 +111,17 @@ def as_typed(names: tuple[str, ...]) -> str:
     return next((name for name in names if name in typed), names[0])
 
 
+def parse_whole_numbers(option: str, text: str, least: int, most: int) -> list[int]:
+    """Distinct whole numbers from text such as `1,8,32`; raises `XFreqBenchError` that names the option."""
+    try:
+        numbers = [parse_number(part, int) for part in text.split(",")]
+    except ValueError:
+        numbers = [least - 1]
+    if not all(least <= number <= most for number in numbers):
+        raise XFreqBenchError(f"{option} takes whole numbers from {least} to {most}, as in 1,8,32, but got {text!r}.")
+    return list(dict.fromkeys(numbers))
+
+
 def parse_carriers_ghz(freqs: str, names: tuple[str, ...] = FREQS) -> list[float]:
     """Carriers in GHz from text such as `1,2.4`, or `paper`; raises `XFreqBenchError` that names the option."""
     option = as_typed(names)
@@ -118,15 +129,12 @@ def parse_carriers_ghz(freqs: str, names: tuple[str, ...] = FREQS) -> list[float
         return list(PAPER_CARRIERS_GHZ)
     try:
         carriers_ghz: list[float] = [parse_number(part) for part in freqs.split(",")]
-    except ValueError as error:
-        raise XFreqBenchError(
-            f"{option} takes carriers in GHz, comma-separated, as in 1,2.4,24.25, but got {freqs!r}."
-        ) from error
-    try:
         for carrier_ghz in carriers_ghz:
             ghz_to_hz(carrier_ghz)
     except ValueError as error:
-        raise XFreqBenchError(f"{option} cannot use {freqs!r}: {error}.") from error
+        raise XFreqBenchError(
+            f"{option} takes carriers in GHz, comma-separated, as in 1,2.4,24.25, and cannot use {freqs!r}: {error}."
+        ) from error
     return carriers_ghz
 
 

@@ -51,7 +51,6 @@ IGNORED = ("train_index.txt", "test_index.txt")
 _NUMBERED = re.compile(
     r"(?<![\d.])(?<!^[-+])(\d{1,18})(\.[a-z]\w*)?$", re.IGNORECASE | re.ASCII
 )  # of an index or a file
-_INDEX = ("", "index", "sample")
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -321,20 +320,18 @@ def _check_index_files(folder: Path, convention: Convention, num_samples: int) -
 def _check_order(table: Table) -> None:
     """Raise `DataError` where a column says which map each line belongs to, in another order than that of the lines.
 
-    Such a column holds 0, 1, … or 1, 2, …, or different numbers under such a name or none, or names of images.
+    Such a column holds 0, 1, … or 1, 2, …, or names of images, or different numbers under such a name or none.
     """
-    num_lines = len(table.lines)
     for column in {*range(len(table.names))}.difference(table.axes()):
-        cells, name = table.columns[column], table.names[column]
-        found = [_NUMBERED.search(cell) for cell in cells]
-        numbers = [int(each[1]) for each in found if each]
-        ascending = sorted({*numbers})
-        counts = ascending in ([*range(num_lines)], [*range(1, num_lines + 1)]) or name.lower() in _INDEX
-        if len(ascending) == num_lines and (counts or all(each and each[2] for each in found)) and numbers != ascending:
+        name, num_lines = table.names[column], len(table.lines)
+        found = [each for cell in table.columns[column] if (each := _NUMBERED.search(cell))]
+        numbers = [int(each[1]) for each in found]
+        is_order = name in ("", "index", "sample") or all(each[2] for each in found) or max(numbers) <= num_lines
+        if len({*numbers}) == num_lines and is_order and numbers != (ascending := sorted(numbers)):
             row = next(row for row, number in enumerate(numbers) if number != ascending[row])
             raise DataError(
-                f"{table.path}, line {table.lines[row]}, is of {cells[row]!r} by its column {name!r}, but lines are in "
-                "the order of maps. Sort them by that column, or remove it where it means something else."
+                f"{table.path}, line {table.lines[row]}, is of {table.columns[column][row]!r} by its column {name!r}, "
+                "but lines are in the order of maps. Sort them by that column, or remove it if it means something else."
             )
 
 

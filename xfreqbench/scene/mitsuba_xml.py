@@ -321,11 +321,8 @@ def _number(bsdf: Element, name: str, path: Path, least: float, most: float) -> 
     text = stated.get("value", "")
     number, is_thickness = _finite(text), name == "thickness"
     if not least <= number <= most or (is_thickness and number == least):
-        needed = (
-            f"a number of metres above 0, up to {most:g}, or leave it out for {DEFAULT_THICKNESS_M:g}"
-            if is_thickness
-            else f"a number from {least:g} to {most:g}"
-        )
+        metres = f"a number of metres above 0, up to {most:g}, or leave it out for {DEFAULT_THICKNESS_M:g}"
+        needed = metres if is_thickness else f"a number from {least:g} to {most:g}"
         raise SceneError(f"{path}: the {name} of material {bsdf.get('id', '')!r} is {text!r}. Give {needed}.")
     return number
 
