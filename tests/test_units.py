@@ -60,8 +60,6 @@ def test_whoever_gives_hertz_is_asked_in_python_and_on_the_command_line(tmp_path
         xb.generate("empty", tmp_path / "data.h5", freqs_ghz=[24.25e9])
     with pytest.raises(ArgumentError, match=f"targets_ghz=.*{QUESTION}"):
         xb.run("data.h5", "nearest", targets_ghz=24.25e9, results=tmp_path)
-    with pytest.raises(
-        XFreqBenchError, match=f"--freqs-ghz takes .* cannot use '24.25e9': .*{QUESTION}"
-    ):
+    with pytest.raises(XFreqBenchError, match=f"--freqs-ghz takes .* cannot use '24.25e9': .*{QUESTION}"):
         parse_carriers_hz("24.25e9")
     assert not list(tmp_path.iterdir())

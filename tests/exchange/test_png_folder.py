@@ -74,6 +74,9 @@ def test_names_of_names_of_names_are_not_written_out(tmp_path: Path) -> None:
     (folder / "gateway_info.yml").write_text("\n".join([*lines, text]))
     with pytest.raises(DataError, match="'position' a list of 3 finite numbers"):
         read(folder)
+    (folder / "gateway_info.yml").write_text("\n".join([*lines, "convention: {rows: *a29, first_row_deg: *a29}"]))
+    with pytest.raises(DataError, match="no value for rows, first_row_deg"):
+        read(folder)
 
 
 def test_a_byte_order_mark_is_no_part_of_a_line(tmp_path: Path) -> None:

@@ -252,8 +252,10 @@ def _check_declared(path: Path, content: dict[Any, Any], convention: Convention)
     """Raise `DataError` if the folder says that its maps are drawn in another way than the convention."""
     declared, stated = content.get(CONVENTION), convention.drawing_fields()
     declared = declared if isinstance(declared, dict) else {}
-    differing = [name for name, value in stated.items() if not _is_alike(declared.get(name, value), value)]
-    if any(not declared[name] or not isinstance(declared[name], str) for name in differing):
+    texts = {name: text for name, text in declared.items() if isinstance(text, str)}
+    differing = [name for name, value in stated.items() if declared.get(name, value) not in (value, str(value))]
+    differing = [name for name in differing if _numbers(texts.get(name, ""), 1) != (stated[name],)]
+    if not all(map(texts.get, differing)):
         raise DataError(
             f"{path} has no value for {', '.join(differing)} under {CONVENTION!r}. Remove that line, and give what it "
             "meant by --set."
@@ -263,13 +265,6 @@ def _check_declared(path: Path, content: dict[Any, Any], convention: Convention)
             f"{path} says that its maps are drawn otherwise than by the convention given, in {', '.join(differing)}. "
             f"Give {' '.join(f'--set {name}={declared[name]}' for name in differing)} too."
         )
-
-
-def _is_alike(declared: object, stated: object) -> bool:
-    """Whether two values are equal, or a text shows the number that is stated."""
-    if isinstance(stated, str) or not isinstance(declared, str):
-        return declared == stated
-    return _numbers(declared, 1) == (stated,)
 
 
 def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:

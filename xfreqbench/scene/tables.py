@@ -96,11 +96,12 @@ def read_table(path: Path) -> Table:
         first = min(lines, default=1)
         separator = _separator(lines.get(first, ""))
         rows = {number: cells for number, line in lines.items() if any(cells := _cells(line, separator))}
-        titles = [_title(line) for line in text[: first - 1][-100:]]
+        titles = [_cells(line.lstrip("# ").rpartition(":")[2].strip()) for line in text[: first - 1][-100:]]
     except (OSError, UnicodeError, csv.Error) as error:
         fault = error.strerror if isinstance(error, OSError) else error
         raise DataError(f"{path} cannot be read: {fault}. {_ADVICE}") from error
     names = rows.get(first, [])
+    # a remark before the first position may name the columns, with separators of its own
     told = [cells for cells in titles if set("xyz") <= set(_axes(cells, _ANY_UNIT))]
     if all(map(_is_word, names)) or {"x", "y"} <= set(_axes(names, _ANY_UNIT)):
         rows.pop(first, None)
@@ -122,13 +123,8 @@ def _separator(line: str) -> str:
     return next((each for each in _SEPARATORS if each in line), ",")
 
 
-def _title(line: str) -> list[str]:
-    """Cells of a remark before the first position, which may name the columns, with separators of its own."""
-    words = line.lstrip("# ").rpartition(":")[2].strip()
-    return _cells(words, _separator(words))
-
-
-def _cells(line: str, separator: str) -> list[str]:
+def _cells(line: str, separator: str = "") -> list[str]:
+    separator = separator or _separator(line)
     spaced = " ".join(line.split()) if separator == " " else line
     return [cell.strip() for cell in next(csv.reader([spaced], delimiter=separator, skipinitialspace=True), [])]
 
