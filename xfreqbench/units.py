@@ -1,15 +1,28 @@
-"""Physical constants and the one place where gigahertz become hertz."""
+"""Physical constants, and the one place where texts become numbers and gigahertz become hertz."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from math import inf
+from typing import TypeVar
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 VACUUM_PERMITTIVITY_F_M = 8.8541878128e-12  # CODATA 2018
 
 MAX_CARRIER_GHZ = 1000.0
 PAPER_CARRIERS_GHZ = (1.0, 2.4, 5.0, 10.0, 24.25, 37.0, 47.0, 60.0, 77.0, 94.0)
+Number = TypeVar("Number", int, float)
+
+
+def parse_number(text: str, kind: type[Number] = float) -> Number:  # type: ignore[assignment]
+    """The finite number that a text shows in decimal digits, with a decimal point and an exponent unless it is an int.
+
+    Raises `ValueError` for every other text, and also for `1_0`, which Python would take for 10.
+    """
+    number = kind(text)
+    if "_" in text or not text.isascii() or not abs(number) < inf:
+        raise ValueError(f"{text!r} is not a finite number in decimal digits")
+    return number
 
 
 def ghz_to_hz(carrier_ghz: float) -> float:

@@ -11,9 +11,9 @@ import pytest
 
 from tests.support.places import MEASURED_FLAT
 from tests.support.screened_room import SCENE as SCREENED
-from xfreqbench.bench.measured import bench_measured, read_measurement
+from xfreqbench.bench.measured import Measurement, bench_measured, read_measurement
 from xfreqbench.bench.tables import Bench
-from xfreqbench.errors import DataError, SceneError
+from xfreqbench.errors import DataError, PlacementError, SceneError
 from xfreqbench.scene.model import ReceiverArray, load_scene, parse_scene
 from xfreqbench.tracing.solvers import make_tracer
 from xfreqbench.tracing.tracer import TraceSettings
@@ -67,19 +67,56 @@ def test_what_was_traced_in_a_scene_is_explained_by_it_up_to_an_offset(tmp_path:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds no measurement"),
-        ("x,y,z,2\n1,2,3,4\n", "no column for receiver north; its columns are x, y, z, 2. Name one north"),
-        ("x,y,north,2\n1,2,3,4\n", "no column for z"),
-        ("x,y,z,north,2,rssi_2\n1,2,3,4,5,6\n", "columns 2, rssi_2 for receiver 2"),
-        ("x,y,z,north,2\n1,2,3,4,loud\n", "column 2 holds what is no number"),
-        ("x,y,z,north,2\n1,2,,4,5\n", "positions that are no numbers"),
+        ("", "holds no position"),
+        ("x,y,z,2\n1,2,3,4\n", "0 columns for receiver north; its columns are x, y, z, 2. Name one north"),
+        ("x,y,north,2\n1,2,3,4\n", "not one each for x and y and z"),
+        ("x,y,z,north,2,rssi_2\n1,2,3,4,5,6\n", "2 columns for receiver 2"),
+        ("x,y,z,north,2\n1,2,3,4,loud\n", "line 2, has 'loud' in column 2, which is no finite number"),
+        ("x,y,z,north,2\n1,2,,4,5\n", "line 2, has '' in column z"),
         ("x,y,z,north,2\n" + "1,2,3,-40,\n" * 40, "fewer than 30 powers of receiver 2"),
+        ("x,y,z,north,north\n1,2,3,4,5\n", "2 columns for receiver north"),
+        ("x,x,y,z,north,2\n1,2,3,4,5,6\n", "not one each for x"),
+        ("x,y,z,north,2\n1,0,2,0,3,0,4,5,5,5\n", "line 2, is '1,0,2,0,3,0,4,5,5,5', 10 cells for 5 columns"),
+        ("x;y;z;north;2\n1,0;2,0;3,0;-40,5;-50,5\n", "line 2, has '1,0' in column x"),
+        ("x,y,z,north,2\n1,2,3,-40,-50,x\n", "6 cells for 5 columns"),
+        ("x,y,z,north,2\n1_5,2,3,-40,-50\n", "line 2, has '1_5' in column x"),
     ],
 )
 def test_a_measurement_that_cannot_be_used_is_refused(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "measured.csv").write_text(text)
     with pytest.raises(DataError, match=re.escape(message)):
         read_measurement(tmp_path / "measured.csv", RECEIVERS, None)
+
+
+def table_of(power_db: list[str]) -> str:
+    return "\n".join(["x,y,z,power", *(f"{n},2,1.2,{power}" for n, power in enumerate(power_db))])
+
+
+@pytest.mark.parametrize("missing", ["-999", "100", "0", "-120"])
+def test_a_number_that_stands_for_not_received_is_asked_about(tmp_path: Path, missing: str) -> None:
+    """As data sets of fingerprints have it; one beyond every measured power is asked about where it occurs once."""
+    measured = [f"{-40 - 1.5 * (n % 20)}" for n in range(60)]
+    lone = (ReceiverArray(position_m=(1.0, 1.0, 2.5)),)
+    path = tmp_path / "measured.csv"
+    for absent in ("", "nan", "NaN", "-inf"):
+        path.write_text(table_of([*measured, *[absent] * 5]))
+        known = read_measurement(path, lone, None).power_db
+        assert np.isnan(known).sum() == 5
+        np.testing.assert_array_equal(known[:60, 0], np.array(measured, float))
+    for number in (1, 2, 5):
+        path.write_text(table_of([*measured, *[missing] * number]))
+        if number > 2 or missing in ("-999", "100"):
+            with pytest.raises(DataError, match=rf"column power, holds {number} times {missing} dB, .* cells empty"):
+                read_measurement(path, lone, None)
+        else:
+            assert read_measurement(path, lone, None).power_db[60, 0] == float(missing)
+
+
+def test_positions_in_centimetres_are_refused_before_anything_is_traced() -> None:
+    position_m = np.random.default_rng(2).uniform([40, 40, 90], [760, 560, 170], (60, 3))
+    measurement = Measurement(position_m, np.full((60, 1), -40.0))
+    with pytest.raises(PlacementError, match=r"Every measured position .* outside of all surfaces, .*in metres"):
+        bench_measured(Bench("measured", "x", print), SCREENED, measurement, [2.4e9], SETTINGS, 1, ignore_progress)
 
 
 @pytest.mark.slow

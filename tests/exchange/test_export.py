@@ -31,9 +31,9 @@ from xfreqbench.exchange import shards
 from xfreqbench.exchange.conventions import CONVENTIONS, Convention, convention_named
 from xfreqbench.exchange.png_dataset import export_png_folder, import_png_folder
 from xfreqbench.exchange.png_folder import read_png_folder
-from xfreqbench.exchange.positions import read_positions
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.tables import read_table
 
 TWO_BY_TWO = ["plane=xy", "array_rows=2", "array_cols=2", "spacing_wavelengths=0.5"]  # the synthetic receiver
 
@@ -115,7 +115,7 @@ def test_the_published_example_comes_back_byte_for_byte(tmp_path: Path) -> None:
     for path, ours in zip(published, exported, strict=True):
         assert (ours.name, ours.read_bytes()) == (path.name, path.read_bytes())
     assert (tmp_path / "out" / "freq.txt").read_text().split() == (PUBLISHED / "freq.txt").read_text().split()
-    tables = [read_positions(folder / "tx_pos.csv") for folder in (PUBLISHED, tmp_path / "out")]
+    tables = [read_table(folder / "tx_pos.csv").position_m() for folder in (PUBLISHED, tmp_path / "out")]
     np.testing.assert_array_equal(*tables)
 
 

@@ -27,6 +27,45 @@ def test_a_receiver_may_stand_in_any_spelling_of_yaml(tmp_path: Path) -> None:
     assert read(folder).receiver == known
 
 
+def test_a_number_of_a_receiver_is_the_one_that_the_file_shows(tmp_path: Path) -> None:
+    """YAML 1.1 takes 010 for 8."""
+    folder = write_folder(tmp_path / "small")
+    replace_line("gateway_info.yml", 3, "  position: [010, 005.50, +1e1]")(folder)
+    assert read(folder).receiver.position_m == (10.0, 5.5, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("names", "labels", "told"),
+    [
+        ("index,x,y,z", ("1", "2", "4", "3"), r"line 4, is of '4' by its column 'index'"),
+        ("row,x,y,z", ("0", "2", "1", "3"), r"line 3, is of '2' by its column 'row'"),
+        (",x,y,z", ("12", "40", "7", "8"), r"line 2, is of '12' by its column ''"),
+        ("file,x,y,z", ("7.png", "12.png", "9.png", "30.png"), r"line 3, is of '12\.png' by its column 'file'"),
+        ("", ("img_2.png", "img_1.png", "img_3.png", "img_4.png"), r"line 1, is of 'img_2\.png' by its column ''"),
+        ("index,x,y,z", ("1", "2", "3", "4"), None),
+        (",x,y,z", ("3", "14", "15", "92"), None),
+        ("file,x,y,z", ("spectrum/2.png", "spectrum/4.png", "spectrum/5.png", "spectrum/7.png"), None),
+        ("floor,x,y,z", ("1", "0", "1", "0"), None),
+        ("rssi,x,y,z", ("-4", "-3", "-2", "-1"), None),
+        ("height,x,y,z", ("1.3", "1.1", "1.2", "1.0"), None),
+        ("room,x,y,z", ("kitchen", "hall", "bath", "hall 2"), None),
+    ],
+)
+def test_a_column_that_says_which_map_a_line_belongs_to_is_in_order(
+    tmp_path: Path, names: str, labels: tuple[str, ...], told: str | None
+) -> None:
+    folder = write_folder(tmp_path / "small")
+    sound = read(folder)
+    lines = (folder / "tx_pos.csv").read_text().splitlines()[1:]
+    rows = [f"{label},{line}" for label, line in zip(labels, lines, strict=True)]
+    (folder / "tx_pos.csv").write_text("\n".join([names, *rows] if names else rows))
+    if told is None:
+        np.testing.assert_array_equal(read(folder).tx_position_m, sound.tx_position_m)
+    else:
+        with pytest.raises(DataError, match=told):
+            read(folder)
+
+
 def test_names_of_names_of_names_are_not_written_out(tmp_path: Path) -> None:
     """A few lines of YAML that would be terabytes."""
     folder = write_folder(tmp_path / "small")
@@ -34,6 +73,9 @@ def test_names_of_names_of_names_are_not_written_out(tmp_path: Path) -> None:
     text = "gateway1:\n  position: [*a29, *a29, *a29]\n  orientation: [0, 0, 0, 1]\n"
     (folder / "gateway_info.yml").write_text("\n".join([*lines, text]))
     with pytest.raises(DataError, match="'position' a list of 3 finite numbers"):
+        read(folder)
+    (folder / "gateway_info.yml").write_text("\n".join([*lines, "convention: {rows: *a29, first_row_deg: *a29}"]))
+    with pytest.raises(DataError, match="no value for rows, first_row_deg"):
         read(folder)
 
 
@@ -99,15 +141,20 @@ def turn_two_receivers(folder: Path) -> None:
         (remove("gateway_info.yml"), r"gateway_info\.yml cannot be read"),
         (remove("spectrum/00003.png"), r"no .*00003\.png"),
         (draw("00005.png", levels(1)), r"00005\.png belongs to no line of tx_pos\.csv"),
-        (replace_line("tx_pos.csv", 1, "y,x,y"), r"tx_pos\.csv, line 1,.*not x,y,z nor numbers"),
+        (replace_line("tx_pos.csv", 1, "y,x,y"), r"tx_pos\.csv has the columns 'y, x, y', not one each"),
         (replace_line("tx_pos.csv", 3, "1,2"), r"tx_pos\.csv, line 3,.*three finite numbers"),
         (replace_line("tx_pos.csv", 3, "1,nan,2"), r"tx_pos\.csv, line 3,.*three finite numbers"),
+        (replace_line("tx_pos.csv", 3, "1_0,1,2"), r"tx_pos\.csv, line 3, has '1_0' in column x"),
         (replace_line("freq.txt", 2, "often"), r"freq\.txt, line 2,.*GHz"),
+        (replace_line("freq.txt", 2, "2_4"), r"freq\.txt, line 2, is '2_4'.*GHz"),
         (replace_line("freq.txt", 2, "-1"), r"freq\.txt, line 2,.*above 0"),
         (drop_last_line, r"tx_pos\.csv has 4 samples and .*freq\.txt 3"),
         (replace_line("freq.txt", 3, "24.25"), r"tx_pos\.csv, line 4, repeats line 2.*24\.25 GHz"),
         (leave_the_last_sample_out, r"tx_pos\.csv, line 3: .*has no sample at 2\.4 GHz"),
         (replace_line("gateway_info.yml", 3, "  position: [2,1]"), r"gateway_info\.yml .*3 finite numbers"),
+        (replace_line("gateway_info.yml", 3, "  position: [1_0, 2, 3]"), r"gateway_info\.yml .*3 finite numbers"),
+        (replace_line("gateway_info.yml", 3, "  position: [1:30, 2, 3]"), r"gateway_info\.yml .*3 finite numbers"),
+        (replace_line("gateway_info.yml", 3, "  position: [yes, 2, 3]"), r"gateway_info\.yml .*3 finite numbers"),
         (replace_line("gateway_info.yml", 4, "  orientation: [0, 0, 0, 0]"), r"gateway_info\.yml .*no length"),
         (replace_line("gateway_info.yml", 4, "  orientation: [0, nan, 0, 1]"), r"gateway_info\.yml .*4 finite"),
         (replace_line("gateway_info.yml", 3, "  position: [0, 1e9, 0]"), r"gateway_info\.yml .*position_m\.1"),
@@ -118,6 +165,7 @@ def turn_two_receivers(folder: Path) -> None:
         (rename("spectrum/00002.png", "spectrum/2.png"), r"no .*00002\.png.*2\.png is there"),
         (turn_two_receivers, r"describes 2 receivers"),
         (replace_line("gateway_info.yml", 1, "convention: {rows: [1]}"), r"no value for rows under .*Remove that line"),
+        (replace_line("gateway_info.yml", 1, "convention: {rows: }"), r"no value for rows under .*Remove that line"),
         (replace_line("gateway_info.yml", 3, "  position: [2,1"), r"gateway_info\.yml is no YAML: .*line 4"),
         (replace_line("gateway_info.yml", 2, "gateway1: none"), r"gateway_info\.yml is no YAML: .*line 3"),
         (replace_line("gateway_info.yml", 3, "  place: [2,1,0]"), r"gateway_info\.yml describes 0 receivers"),
@@ -147,6 +195,22 @@ def test_a_map_of_too_many_pixels_is_refused_before_it_takes_memory(tmp_path: Pa
             read_one(path)
     Image.new("L", (1000, MAX_PIXELS // 1000)).save(path)  # as many as may be
     assert shape_of(path) == read_levels(path).shape == (1000, 1000)
+
+
+def test_a_file_larger_than_any_map_or_receiver_is_not_read(tmp_path: Path) -> None:
+    """Each of a million empty chunks of a PNG takes time, and so does each word of a YAML file."""
+    folder = write_folder(tmp_path / "small")
+    path = folder / "spectrum" / "00001.png"
+    content, chunk = path.read_bytes(), struct.pack(">I4sI", 0, b"teSt", zlib.crc32(b"teSt"))
+    path.write_bytes(content[:33] + chunk * 333_334 + content[33:])
+    with pytest.raises(
+        DataError, match=r"00001\.png cannot be read as a PNG \(it has 4,[\d,]+ bytes, and 4,000,000 are"
+    ):
+        read(folder)
+    path.write_bytes(content)
+    write("gateway_info.yml", "a: [" + "1, " * 40_000 + "]\n")(folder)
+    with pytest.raises(DataError, match=r"gateway_info\.yml cannot be read: it has 120,006 bytes, and 100,000 are"):
+        read(folder)
 
 
 def test_a_flipped_bit_of_a_pixel_is_found(tmp_path: Path) -> None:

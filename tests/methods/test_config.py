@@ -92,7 +92,7 @@ def test_values_are_typed_from_the_fields_and_the_later_wins() -> None:
     [
         *(
             (Config(), text, "takes")
-            for text in ("hidden=many", "hidden=1.5", "scale=cubic", "carriers=[1", "spread=2")
+            for text in ("hidden=many", "hidden=1.5", "rate=2_4", "scale=cubic", "carriers=[1", "spread=2")
         ),
         (Config(), "depth=0", "Option 'depth' of Config takes int, but '0' was given: .*greater"),
         (Config(), "hidden", "key=value"),

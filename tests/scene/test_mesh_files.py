@@ -284,7 +284,9 @@ def test_a_glb_that_is_cut_or_nests_without_end_is_refused(tmp_path: Path) -> No
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nsurf 0 1 0 1 1 2 3\n", "line 4 is 'surf', of which nothing is read"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "faces without a material"),
         ("usemtl itu_wood\nv 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face of any area"),
-        ("v 1e400 0 0\nv 1 0 0\nv 0 1 0\nusemtl itu_wood\nf 1 2 3\n", "no face of any area|not finite"),
+        ("v 1e400 0 0\nv 1 0 0\nv 0 1 0\nusemtl itu_wood\nf 1 2 3\n", "line 1 is no vertex"),
+        ("v 1_0 0 0\n", "line 1 is no vertex"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0_3\n", "line 4 is no vertex, or no face"),
     ],
 )
 def test_an_obj_that_is_not_sound_is_refused(tmp_path: Path, text: str, message: str) -> None:

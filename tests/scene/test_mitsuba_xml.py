@@ -119,6 +119,7 @@ def test_an_axis_of_any_length_is_turned_about(folder: Path) -> None:
         ('<rotate angle="30"/>', "axis has no direction"),
         ('<rotate z="1"/>', "finite numbers"),
         ('<translate x="nan"/>', "finite numbers"),
+        ('<scale x="1_0"/>', "'1_0'; give 1 finite numbers"),
         ('<translate x="$far"/>', "'\\$far'"),
         ('<translate value="1 2"/>', "1 or 3"),
         ('<matrix value="1 0 0"/>', "9 or 16"),
@@ -184,7 +185,9 @@ def test_a_material_may_have_a_permittivity_and_conductivity_of_its_own(folder: 
     for numbers, words in (
         ("", "states no relative_permittivity"),
         (stated.replace("4.5", "0.5"), r"relative_permittivity of material 'foam' is '0\.5'"),
+        (stated.replace("4.5", "4_5"), r"relative_permittivity of material 'foam' is '4_5'\. Give a number from 1 to"),
         (stated.replace("0.02", "1e300"), r"conductivity of material 'foam' is '1e300'\. Give a number from 0 to 1e"),
+        (stated + '<float name="scattering_coefficient" value="0_1"/>', "scattering_coefficient: Input should be"),
     ):
         with pytest.raises(SceneError, match=words):
             only_mesh(folder, *named("foam", "radio-material", numbers))

@@ -225,6 +225,18 @@ def test_a_scene_with_faults_lists_them_all_with_their_places() -> None:
     assert "transmitters.step_m.0" in str(caught.value)
 
 
+def test_of_very_many_faults_some_are_named_and_keys_of_very_many_parts_are_not_read() -> None:
+    with pytest.raises(SceneError) as told:
+        parse_scene(BOX + "[[surface]]\nnme = 1\n" * 1000)
+    assert len(str(told.value).splitlines()) == 22
+    assert str(told.value).endswith("\n  and 2980 more")
+    for text in ("a." * 10_001 + "b = 1\n" + BOX, BOX + "c = {" + "a." * 10_001 + "b = 1}\n"):
+        with pytest.raises(SceneError, match="more than 10,000 points"):
+            parse_scene(text)
+    scene = parse_scene(BOX)
+    assert scene.materials is scene.materials  # of which each surface asks
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -233,7 +245,7 @@ def test_a_scene_with_faults_lists_them_all_with_their_places() -> None:
         ("position_m = [2.0, 2.0, 2.5]", "position_m = [2.0, inf, 2.5]", "finite"),
         ("[receiver]", "[receiver", "not TOML"),
         ('name = "box"', 'name = "box"\nunit = "mm"', "'unit' is about the meshes of a file, but the scene names none"),
-        ('name = "box"', 'name = "box"\noutside = true', "'outside' is about the meshes of a file"),
+        ('name = "box"', 'name = "box"\nup = "y"', "'up' is about the meshes of a file"),
     ],
 )
 def test_scenes_that_mean_nothing_are_refused(old: str, new: str, message: str) -> None:

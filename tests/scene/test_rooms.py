@@ -144,6 +144,20 @@ def test_who_stands_outside_of_everything_is_asked_about(tmp_path: Path) -> None
     assert some.summary.endswith("; 1 transmitters stand outside")
 
 
+@pytest.mark.parametrize("scale", [1000.0, 100.0, -100.0])
+def test_positions_in_another_unit_are_asked_about_in_every_scene(tmp_path: Path, scale: float) -> None:
+    places_m = np.array([[1.2, 3.1, 1.5], [2.0, 3.3, 1.2]])
+    ground = shape("rectangle", to_world('<scale x="5" y="4" z="1"/>'))
+    for scene in (scene_of(ROOM), scene_of(box("floor", [0, 0, 0], [5, 4, 0])), scene_with(tmp_path, WOOD, ground)):
+        meshes = surface_meshes(scene)
+        check_transmitters(scene, meshes, np.vstack([scale * places_m, places_m]), [10e9])  # some are inside
+        with pytest.raises(PlacementError, match=r"Every transmitter .*outside of all .* in metres, .*outside = true"):
+            check_transmitters(scene, meshes, scale * places_m, [10e9])
+        check_transmitters(replace(scene, outside=True), meshes, scale * places_m, [10e9])
+    check_transmitters(scene_of(ROOM), surface_meshes(scene_of(ROOM)), places_m + 9, [10e9])  # beside the room
+    check_transmitters(scene_of(), [], scale * places_m, [10e9])
+
+
 def test_nothing_is_outside_of_a_single_wall_however_it_is_turned(tmp_path: Path) -> None:
     wall = '<transform name="to_world"><scale value="3"/><rotate x="1" angle="90"/><rotate {} angle="37"/></transform>'
     for axis in ('z="1"', 'x="1" y="0.3"'):

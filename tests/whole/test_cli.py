@@ -54,8 +54,12 @@ print("loaded", sorted({HEAVY!r} & set(sys.modules)))
         ("run --method nearest --results results --data x.h5 --on tests", 'Choose from: "test", "validation"'),
         ("split -o x.h5 --data x.h5 --on tests", 'Choose from: "test", "validation"'),
         ("generate office -o x.h5 --freq 1", "--freqs"),
-        ("generate office -o x.h5 --freqs 2400", "--freqs cannot use '2400'"),
+        ("generate office -o x.h5 --freqs 2400", "cannot use '2400': a carrier in GHz is at most"),
         ("generate office -o x.h5 --freqs-ghz=x", "--freqs-ghz takes carriers in GHz"),
+        ("generate office -o x.h5 --freqs 2_4", "--freqs takes carriers in GHz, comma-separated"),
+        ("generate office -o x.h5 --tx 1.5", 'Invalid value for --tx: unable to convert "1.5" into int'),
+        ("import maps -o x.h5 --freq 2_4", 'Invalid value for --freq: unable to convert "2_4" into float'),
+        ("bench measured flat x.csv --freqs 2.4 --height 1_3", 'unable to convert "1_3" into float'),
         (
             "generate office -o x.h5 --receiver north",
             "There is no receiver 'north'. None has a name here: leave it out.",
@@ -84,6 +88,13 @@ def test_mistakes_end_with_code_2_and_words(
     assert message in done.message
     assert "Traceback" not in done.message
     assert not list(tmp_path.iterdir())
+
+
+def test_a_message_quotes_no_more_than_a_screen_of_what_was_given() -> None:
+    told = xfreqbench("generate", "office", "-o", "x.h5", "--freqs", "1" * 100_000).stderr
+    assert told.startswith("xfreqbench: --freqs takes carriers in GHz")
+    assert " … " in told
+    assert len(told) < 10_000
 
 
 def test_a_shell_completes_commands_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

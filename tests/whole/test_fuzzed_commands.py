@@ -16,7 +16,8 @@ from tests.whole.test_cli import COMMANDS, command_named
 from xfreqbench.cli.main import app
 
 NAMES_OR_PATHS = {"scene", "data_or_scene", "results", "a", "b"}  # of shipped scenes, or of records
-NUM_INPUTS = {"maps to show": 12, "stored predictions": 12, "mesh": 10, "PNG folder": 40, "positions": 60}  # else 20
+NUM_INPUTS = {"maps to show": 12, "stored predictions": 12, "mesh": 10, "PNG folder": 40, "positions": 150}
+NUM_INPUTS |= {"measurement": 150, "receiver of a PNG folder": 150, "table of a PNG folder": 100}  # others: 20
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
 
 

@@ -6,7 +6,6 @@ each receiver, which is fitted at a random tenth of the positions; everything is
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,10 +16,11 @@ from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from xfreqbench.bench.tables import Bench
-from xfreqbench.errors import DataError, SceneError, StorageError
+from xfreqbench.errors import DataError, SceneError
 from xfreqbench.scene.model import ReceiverArray, Scene
+from xfreqbench.scene.placement import check_inside
 from xfreqbench.scene.prepared import PreparedScene
-from xfreqbench.system.files import read_text
+from xfreqbench.scene.tables import read_table
 from xfreqbench.tracing.paths import DIFFRACTION, NO_INTERACTION
 from xfreqbench.tracing.solvers import resolve_solver, tracer_of
 from xfreqbench.tracing.tracer import TraceSettings
@@ -46,53 +46,49 @@ class Measurement:
 def read_measurement(
     path: Path, receivers: Sequence[ReceiverArray], height_m: float | None, every: int = 1
 ) -> Measurement:
-    """A CSV file with columns x, y and z in metres, z unless `height_m` is given, and powers in dB for each receiver.
+    """A table of positions, see `read_table`, with z unless `height_m` is given, and powers in dB for each receiver.
 
     The column of a receiver has its name, or a name that ends in `_` and the receiver's, as `rssi_3`; a scene's lone
-    receiver may have the column `power`. An empty cell is no measurement. `every` is the step between
-    the lines that are taken. Raises `DataError` and `StorageError`.
+    receiver may have the column `power`. An empty cell, nan and -inf are no measurement. `every` is the step between
+    the lines that are taken. Raises `DataError`, also for a power that repeats far from all others.
     """
-    try:
-        rows = list(csv.DictReader(read_text(path).splitlines()))[::every]
-    except OSError as error:
-        raise StorageError(f"{path} cannot be read: {error.strerror}.") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"{path} is no CSV file in UTF-8: {error}") from error
-    if not rows:
-        raise DataError(f"{path} holds no measurement: give a line of names, and a line for each position.")
-    names = [name for name in rows[0] if name]
-
-    def column(what: str, accepted: Sequence[str], ending: str | None = None) -> Float[FloatArray, "n"]:
-        found = [name for name in names if name in accepted or (ending is not None and name.endswith(ending))]
+    table = read_table(path)
+    position_m, powers = table.position_m(height_m), list[FloatArray]()
+    for receiver in receivers:
+        name = receiver.name
+        accepted = ("power", "power_db") if name is None else (name,)
+        found = [n for n, given in enumerate(table.names) if given in accepted or (name and given.endswith(f"_{name}"))]
         if len(found) != 1:
+            wanted = f"{name}, or so that it ends in _{name}" if name else "power or power_db"
             raise DataError(
-                f"{path} has {'columns ' + ', '.join(found) if found else 'no column'} for {what}; its columns are "
-                f"{', '.join(names)}. Name one {' or '.join(accepted)}"
-                + (f", or so that it ends in {ending}." if ending else ".")
+                f"{path} has {len(found)} columns for {f'receiver {name}' if name else 'the power'}; its columns are "
+                f"{', '.join(table.names)}. Name one {wanted}."
             )
-        try:
-            return np.array([float(row[found[0]] or "nan") for row in rows])
-        except (TypeError, ValueError) as error:
-            raise DataError(f"{path}: column {found[0]} holds what is no number ({error}).") from error
-
-    places = [column(axis, (axis, f"{axis}_m")) for axis in ("x", "y")]
-    places.append(column("z", ("z", "z_m")) if height_m is None else np.full(len(rows), height_m))
-    powers = [
-        column("the power", ("power", "power_db"))
-        if receiver.name is None
-        else column(f"receiver {receiver.name}", (receiver.name,), f"_{receiver.name}")
-        for receiver in receivers
-    ]
-    position_m, power_db = np.stack(places, axis=1), np.stack(powers, axis=1)
-    if not np.isfinite(position_m).all():
-        raise DataError(f"{path} holds positions that are no numbers.")
-    power_db = np.where(np.isfinite(power_db), power_db, np.nan)
+        powers.append(table.numbers(found[0], missing=("", "nan", "-inf")))
+        _require_measured(powers[-1], f"{path}, column {table.names[found[0]]},")
+    power_db = np.stack(powers, axis=1)[::every]
     few = np.isfinite(power_db).sum(axis=0) < 10 * NUM_NEAREST
     if few.any():
         raise DataError(
             f"{path} holds fewer than {10 * NUM_NEAREST} powers of receiver {receivers[few.argmax()].name}."
         )
-    return Measurement(position_m, power_db)
+    return Measurement(position_m[::every], power_db)
+
+
+def _require_measured(power_db: Float[FloatArray, "n"], what: str) -> None:
+    """Raise `DataError` for a highest or lowest power that stands for 'not received', most likely.
+
+    It is more than 20 dB from all others and occurs three times, or more than 100 dB.
+    """
+    levels_db, counts = np.unique(power_db[np.isfinite(power_db)], return_counts=True)
+    gaps_db = np.diff(levels_db)
+    for end in (0, -1) if len(gaps_db) else ():
+        if gaps_db[end] > (20 if counts[end] > 2 else 100):
+            raise DataError(
+                f"{what} holds {counts[end]} times {levels_db[end]:g} dB, which is {gaps_db[end]:g} dB from any other "
+                "power. If that stands for 'not received', leave those cells empty; if it was measured, leave those "
+                "lines out."
+            )
 
 
 def bench_measured(
@@ -106,13 +102,14 @@ def bench_measured(
 ) -> None:
     """Print how far models of the power are from a measurement; see `_predictions` for the models.
 
-    Raises `SceneError` where transmitter and receiver have one place, or no path arrives anywhere, and `DataError`
-    where a receiver has no power to fit.
+    Raises `SceneError` where transmitter and receiver have one place, or no path arrives anywhere, `PlacementError`
+    where all positions are outside of the scene, and `DataError` where a receiver has no power to fit.
     """
     bench.introduce()
     prepared = PreparedScene.of(scene)
     settings = resolve_solver(prepared.geometry, settings)
     position_m, power_db = measurement.position_m, measurement.power_db
+    check_inside(scene, prepared.geometry.meshes, position_m, "Every measured position")
     fitted = np.zeros(len(position_m), bool)
     fitted[np.random.default_rng(seed).permutation(len(position_m))[: max(len(position_m) // 10, NUM_NEAREST)]] = True
     for receiver, powers in zip(scene.receivers, power_db[fitted].T, strict=True):

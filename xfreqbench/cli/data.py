@@ -253,9 +253,9 @@ def _read_positions(path: Path | None) -> Any:
         from xfreqbench.data.dataset import open_dataset
 
         return open_dataset(path).tables["tx_position_m"]
-    from xfreqbench.exchange.positions import read_positions
+    from xfreqbench.scene.tables import read_table
 
-    return read_positions(path)
+    return read_table(path).position_m()
 
 
 @app.command(group=DATA, help_epilogue=example("info office.h5 --retrace 4"))

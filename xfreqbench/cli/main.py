@@ -42,10 +42,10 @@ def main() -> None:
             app()
         sys.stdout.flush()
     except (StorageError, RunsFailedError) as error:  # of several runs, one may have found no space
-        print(f"xfreqbench: {error}", file=sys.stderr, flush=True)
+        print(f"xfreqbench: {_shown(error)}", file=sys.stderr, flush=True)
         os._exit(2)  # at an ordinary exit HDF5 would write the failed file again, and crash
     except XFreqBenchError as error:
-        print(f"xfreqbench: {error}", file=sys.stderr)
+        print(f"xfreqbench: {_shown(error)}", file=sys.stderr)
         sys.exit(2)
     except BrokenPipeError:  # the program that reads our output, such as `head`, has read enough
         _discard_output()
@@ -64,6 +64,12 @@ def main() -> None:
         if not was_interrupted(error):
             raise
         _leave_interrupted()
+
+
+def _shown(error: XFreqBenchError) -> str:
+    """The message of an error, without the middle where it quotes what is very long."""
+    text = str(error)
+    return text if len(text) < 8000 else f"{text[:4000]} … {text[-2000:]}"
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from xfreqbench.cli.options import (
     example,
     parse_carriers_hz,
     parse_names,
+    parse_whole_numbers,
     say,
 )
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
@@ -25,8 +26,6 @@ BenchOutput = Annotated[
     Path | None,
     Parameter(name=["--output", "-o"], help="File to append the tables to, as records for `xfreqbench report`."),
 ]
-
-_MAX_GAUSSIANS, _MAX_BATCH = 1_000_000, 1000
 
 
 def _bench(name: str, output: Path | None, *arguments: str, kind: str | None = None, **options: object) -> Any:
@@ -88,7 +87,10 @@ def bench_render(
     """Print the speed of splatting and training, with errors, against dense rendering."""
     from xfreqbench.bench import rendering
 
-    numbers = _counts("--gaussians", gaussians, _MAX_GAUSSIANS), _counts("--batch", batch, _MAX_BATCH)
+    numbers = (
+        parse_whole_numbers("--gaussians", gaussians, 1, 1_000_000),
+        parse_whole_numbers("--batch", batch, 1, 1000),
+    )
     bench = _bench("render", output, gaussians=gaussians, batch=batch, no_step=not step)
     rendering.bench_render(bench, *numbers, step)
 
@@ -127,7 +129,7 @@ def bench_peers(
 
     names = [name.strip() for name in solvers.split(",")] if solvers else run.installed_peers()
     bench = _bench("peers", output, solvers=",".join(names), orders=orders, seconds=seconds, limit=limit)
-    run.bench_peers(bench, names, _counts("--orders", orders, run.MAX_ORDER), seconds, limit)
+    run.bench_peers(bench, names, parse_whole_numbers("--orders", orders, 1, run.MAX_ORDER), seconds, limit)
 
 
 @bench.command(name="stress", help_epilogue=example("bench stress --only phase"))
@@ -141,13 +143,6 @@ def bench_stress(
 
     if not run.bench_stress(_bench("stress", output, only=only), only):
         sys.exit(1)
-
-
-def _counts(option: str, text: str, most: int) -> list[int]:
-    parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdecimal() and len(part) < 10 and 1 <= int(part) <= most for part in parts):
-        raise XFreqBenchError(f"{option} takes whole numbers from 1 to {most}, as in 1,8,32, but got {text!r}.")
-    return [int(part) for part in parts]
 
 
 @bench.command(name="measured", help_epilogue=example("bench measured flat MEASURED.csv --freqs 2.402,2.426,2.48"))

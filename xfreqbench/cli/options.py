@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import cyclopts
 from cyclopts import App, CycloptsError, CycloptsPanel, Group, MissingArgumentError, Parameter, UnusedCliTokensError
 
 from xfreqbench.errors import XFreqBenchError
-from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
+from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz, parse_number
 
 if TYPE_CHECKING:
     from rich.console import Group as RichGroup
@@ -37,12 +38,18 @@ def _refusal(error: CycloptsError) -> RichGroup:
     return RichGroup(panel, Text(command.help_epilogue)) if command.help_epilogue else RichGroup(panel)
 
 
+def _typed(kind: Any, tokens: Any) -> Any:
+    """The values of an option; its numbers are those of `parse_number`, not all that Cyclopts takes, as 1_0 or 1.5."""
+    convert = cyclopts.convert
+    return convert(kind, tokens, lambda of, text: parse_number(text, of) if of in (int, float) else convert(of, [text]))
+
+
 app = App(
     name="xfreqbench",
     error_formatter=_refusal,
     help="How well does a radiance-field method predict channels at carriers it was never trained on?",
     suppress_keyboard_interrupt=False,
-    default_parameter=Parameter(negative_iterable=()),  # no --empty-set beside --set
+    default_parameter=Parameter(negative_iterable=(), converter=_typed),  # no --empty-set beside --set
 )
 # Groups of the commands in --help, in this order.
 GROUPS = DATA, RUN, RESULTS, EXCHANGE, ADVANCED, PLUGINS, _OTHERS = tuple(
@@ -103,22 +110,30 @@ def as_typed(names: tuple[str, ...]) -> str:
     return next((name for name in names if name in typed), names[0])
 
 
+def parse_whole_numbers(option: str, text: str, least: int, most: int) -> list[int]:
+    """Distinct whole numbers from text such as `1,8,32`; raises `XFreqBenchError` that names the option."""
+    try:
+        numbers = [parse_number(part, int) for part in text.split(",")]
+    except ValueError:
+        numbers = [least - 1]
+    if not all(least <= number <= most for number in numbers):
+        raise XFreqBenchError(f"{option} takes whole numbers from {least} to {most}, as in 1,8,32, but got {text!r}.")
+    return list(dict.fromkeys(numbers))
+
+
 def parse_carriers_ghz(freqs: str, names: tuple[str, ...] = FREQS) -> list[float]:
     """Carriers in GHz from text such as `1,2.4`, or `paper`; raises `XFreqBenchError` that names the option."""
     option = as_typed(names)
     if freqs.strip() == "paper":
         return list(PAPER_CARRIERS_GHZ)
     try:
-        carriers_ghz = [float(part) for part in freqs.split(",")]
-    except ValueError as error:
-        raise XFreqBenchError(
-            f"{option} takes carriers in GHz, comma-separated, as in 1,2.4,24.25, but got {freqs!r}."
-        ) from error
-    try:
+        carriers_ghz: list[float] = [parse_number(part) for part in freqs.split(",")]
         for carrier_ghz in carriers_ghz:
             ghz_to_hz(carrier_ghz)
     except ValueError as error:
-        raise XFreqBenchError(f"{option} cannot use {freqs!r}: {error}.") from error
+        raise XFreqBenchError(
+            f"{option} takes carriers in GHz, comma-separated, as in 1,2.4,24.25, and cannot use {freqs!r}: {error}."
+        ) from error
     return carriers_ghz
 
 

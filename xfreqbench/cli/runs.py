@@ -19,6 +19,7 @@ from xfreqbench.cli.options import (
     as_typed,
     example,
     parse_targets_ghz,
+    parse_whole_numbers,
     print_table,
     say,
 )
@@ -184,7 +185,8 @@ def run(
     require_executor(executor or SERIAL)
     methods: dict[str | type, tuple[str, ...]] = dict.fromkeys(map(str.strip, method.split(",")), set_)
     targets_ghz, link = parse_targets_ghz(targets), (receiver, polarization)
-    tasks = asked_tasks(data, methods, protocol, targets_ghz, on, _seeds(seed), budget, device, *link)
+    seeds = parse_whole_numbers(as_typed(SEEDS), seed, 0, 10**18 - 1)
+    tasks = asked_tasks(data, methods, protocol, targets_ghz, on, seeds, budget, device, *link)
     executor = executor or usual_executor(tasks)
     if dry_run:
         print(f"{protocol} on {data.name}: {estimate_runs(tasks, results, executor)}; nothing was run")
@@ -195,16 +197,6 @@ def run(
 
     more = "Tables by carrier, type of room and sight" if protocol in ROOM_PROTOCOLS else "Every metric"
     say(f"{leaderboard_summary(ranked_beside(results, records))}\n\n{more}: xfreqbench report {results}", quiet)
-
-
-def _seeds(text: str) -> list[int]:
-    """Distinct seeds from `0,1,2`; raises `XFreqBenchError`."""
-    parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdecimal() and len(part) < 19 for part in parts):  # what 64 bits hold
-        raise XFreqBenchError(
-            f"{as_typed(SEEDS)} takes whole numbers from 0, comma-separated, as in 0,1,2, but got {text!r}."
-        )
-    return list(dict.fromkeys(map(int, parts)))
 
 
 @app.command(group=RUN, help_epilogue=example("benchmark --preset quick"))

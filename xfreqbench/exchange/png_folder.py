@@ -17,11 +17,12 @@ from __future__ import annotations
 
 import hashlib
 import io
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import nan
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -33,20 +34,24 @@ from pydantic import ValidationError
 
 from xfreqbench.errors import DataError
 from xfreqbench.exchange.conventions import Convention
-from xfreqbench.exchange.positions import read_positions
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.array import quaternion_rotation
 from xfreqbench.scene.model import ReceiverArray
-from xfreqbench.system.files import read_bytes, read_text, storage_errors
+from xfreqbench.scene.tables import Table, read_table
+from xfreqbench.system.files import read_bytes, read_text, require_regular, storage_errors
 from xfreqbench.types import FloatArray, NDArray
-from xfreqbench.units import format_ghz, ghz_to_hz
+from xfreqbench.units import format_ghz, ghz_to_hz, parse_number
 
 BRIGHTEST = 255
 MAX_PIXELS = 1_000_000  # a map with a step of a fifth of a degree has 810,000
+_MAX_BYTES, _MAX_YAML_BYTES = 4_000_000, 100_000  # of a PNG, whose every chunk is read, and of a receiver
 Levels = UInt8[NDArray[np.uint8], "R C"]
 POSITIONS, CARRIERS, RECEIVER, MAPS = "tx_pos.csv", "freq.txt", "gateway_info.yml", "spectrum"
 CONVENTION = "convention"  # key of `gateway_info.yml` under which our exports say how the maps are drawn
 IGNORED = ("train_index.txt", "test_index.txt")
+_NUMBERED = re.compile(
+    r"(?<![\d.])(?<!^[-+])(\d{1,18})(\.[a-z]\w*)?$", re.IGNORECASE | re.ASCII
+)  # of an index or a file
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -80,7 +85,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is above ours
-            image = Image.open(io.BytesIO(read_bytes(path)), formats=["PNG"])
+            image = Image.open(io.BytesIO(read_bytes(require_regular(path, _MAX_BYTES))), formats=["PNG"])
         with image:
             if image.width * image.height > MAX_PIXELS:
                 raise Image.DecompressionBombError
@@ -132,7 +137,9 @@ def read_png_folder(folder: Path, convention: Convention, carrier_ghz: float | N
     """
     if not folder.is_dir():
         raise DataError(f"There is no folder {folder}. Give the folder that holds {POSITIONS} and {MAPS}.")
-    position_m = [tuple(place_m) for place_m in read_positions(folder / POSITIONS).tolist()]
+    table = read_table(folder / POSITIONS)
+    position_m = [tuple(place_m) for place_m in table.position_m().tolist()]
+    _check_order(table)
     sample_carrier_hz = _carriers_hz(folder / CARRIERS, carrier_ghz, len(position_m))
     if len(position_m) != len(sample_carrier_hz):
         raise DataError(
@@ -162,10 +169,10 @@ def map_path(folder: Path, number: int) -> Path:
     return folder / MAPS / f"{number:05d}.png"
 
 
-def _lines(path: Path) -> list[str]:
+def _lines(path: Path, most_bytes: float = inf) -> list[str]:
     """The lines of a text file, without blank lines at its end."""
     try:
-        return read_text(path).rstrip().splitlines()
+        return read_text(path, most_bytes).rstrip().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         fault = error.strerror if isinstance(error, OSError) else error
         raise DataError(
@@ -177,10 +184,10 @@ def _lines(path: Path) -> list[str]:
 def _numbers(text: str, count: int) -> tuple[float, ...] | None:
     """The numbers of a comma-separated text; None unless they are `count` finite numbers."""
     try:
-        numbers = tuple(float(part) for part in text.split(","))
+        numbers = tuple(parse_number(part) for part in text.split(","))
     except ValueError:
         return None
-    return numbers if len(numbers) == count and np.isfinite(numbers).all() else None
+    return numbers if len(numbers) == count else None
 
 
 def _carriers_hz(path: Path, told_ghz: float | None, num_samples: int) -> list[float]:
@@ -233,9 +240,10 @@ def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
 
 
 def _yaml(path: Path) -> dict[Any, Any]:
-    """The mapping in a YAML file; empty if the file holds something else."""
+    """The mapping in a YAML file, all values as texts: YAML takes 010 for 8. Empty if the file holds something else."""
     try:
-        content = yaml.safe_load("\n".join(_lines(path)))
+        text = "\n".join(_lines(path, _MAX_YAML_BYTES))
+        content = yaml.load(text, yaml.BaseLoader)  # which makes no objects but texts, lists and mappings
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise DataError(f"{path} is no YAML: {' '.join(str(error).split())}.") from error
     return content if isinstance(content, dict) else {}
@@ -245,8 +253,10 @@ def _check_declared(path: Path, content: dict[Any, Any], convention: Convention)
     """Raise `DataError` if the folder says that its maps are drawn in another way than the convention."""
     declared, stated = content.get(CONVENTION), convention.drawing_fields()
     declared = declared if isinstance(declared, dict) else {}
-    differing = [name for name, value in stated.items() if not _is_alike(declared.get(name, value), value)]
-    if any(not isinstance(declared[name], str | int | float) for name in differing):
+    texts = {name: text for name, text in declared.items() if isinstance(text, str)}
+    differing = [name for name, value in stated.items() if declared.get(name, value) not in (value, str(value))]
+    differing = [name for name in differing if _numbers(texts.get(name, ""), 1) != (stated[name],)]
+    if not all(map(texts.get, differing)):
         raise DataError(
             f"{path} has no value for {', '.join(differing)} under {CONVENTION!r}. Remove that line, and give what it "
             "meant by --set."
@@ -256,16 +266,6 @@ def _check_declared(path: Path, content: dict[Any, Any], convention: Convention)
             f"{path} says that its maps are drawn otherwise than by the convention given, in {', '.join(differing)}. "
             f"Give {' '.join(f'--set {name}={declared[name]}' for name in differing)} too."
         )
-
-
-def _is_alike(declared: object, stated: object) -> bool:
-    """Whether two values are equal; numbers are compared as numbers, because YAML reads some of JSON's as texts."""
-    if isinstance(stated, str) or not isinstance(declared, str | int | float):
-        return declared == stated
-    try:
-        return float(declared) == stated
-    except ValueError:
-        return False
 
 
 def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
@@ -283,8 +283,7 @@ def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
 def _listed(path: Path, gateway: dict[Any, Any], key: str, count: int) -> tuple[float, ...]:
     """The numbers in the list under a key of the receiver."""
     listed = gateway[key] if isinstance(gateway[key], list) else []
-    listed = listed if all(isinstance(entry, str | int | float) for entry in listed) else []
-    numbers = _numbers(",".join(map(str, listed)), count)
+    numbers = _numbers(",".join(entry if isinstance(entry, str) else "" for entry in listed), count)
     if numbers is None:
         raise DataError(f"{path} must hold under {key!r} a list of {count} finite numbers, like {list(range(count))}.")
     return numbers
@@ -312,6 +311,24 @@ def _check_index_files(folder: Path, convention: Convention, num_samples: int) -
                     f"{first + num_samples - 1} (--set index=…). Splits are made here, so that this file may "
                     "also be deleted."
                 )
+
+
+def _check_order(table: Table) -> None:
+    """Raise `DataError` where a column says which map each line belongs to, in another order than that of the lines.
+
+    Such a column holds 0, 1, … or 1, 2, …, or names of images, or different numbers under such a name or none.
+    """
+    for column in {*range(len(table.names))}.difference(table.axes()):
+        name, num_lines = table.names[column], len(table.lines)
+        found = [each for cell in table.columns[column] if (each := _NUMBERED.search(cell))]
+        numbers = [int(each[1]) for each in found]
+        is_order = name in ("", "index", "sample") or all(each[2] for each in found) or max(numbers) <= num_lines
+        if len({*numbers}) == num_lines and is_order and numbers != (ascending := sorted(numbers)):
+            row = next(row for row, number in enumerate(numbers) if number != ascending[row])
+            raise DataError(
+                f"{table.path}, line {table.lines[row]}, is of {table.columns[column][row]!r} by its column {name!r}, "
+                "but lines are in the order of maps. Sort them by that column, or remove it if it means something else."
+            )
 
 
 def _common_shape(paths: list[Path]) -> tuple[int, int]:

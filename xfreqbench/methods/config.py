@@ -12,6 +12,7 @@ from pydantic.errors import PydanticUserError
 
 from xfreqbench.errors import MethodError, UnknownNameError
 from xfreqbench.methods.guard import plain_json, readable
+from xfreqbench.units import parse_number
 
 Config = TypeVar("Config")
 _KINDS = {"integer": "whole number", "boolean": "true, false", "string": "text", "array": "list", "null": "nothing"}
@@ -133,13 +134,16 @@ def _typed(config: Any, key: str, text: str) -> Any:
     kind = _types(config)[key]
     adapter = _adapter(config, kind)
     try:
-        return adapter.validate_json(text) if text.startswith(("[", "{")) else adapter.validate_strings(text)
-    except ValidationError as error:
+        value = adapter.validate_json(text) if text.startswith(("[", "{")) else adapter.validate_strings(text)
+        if isinstance(value, int | float) and "_" in text:
+            parse_number(text)  # which raises, while Pydantic takes 1_0 for 10
+        return value
+    except ValueError as error:
+        fault = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
         plain = getattr(kind, "__origin__", kind) if hasattr(kind, "__metadata__") else kind
         expected = getattr(plain, "__name__", str(plain))
         raise MethodError(
-            f"Option {key!r} of {type(config).__name__} takes {expected}, but {text!r} was given: "
-            f"{error.errors()[0]['msg']}."
+            f"Option {key!r} of {type(config).__name__} takes {expected}, but {text!r} was given: {fault}."
         ) from error
 
 

@@ -21,6 +21,7 @@ from xfreqbench.scene.materials import SceneMaterial
 from xfreqbench.scene.polygons import triangulated
 from xfreqbench.system.files import read_bytes, system_errors
 from xfreqbench.types import FloatArray
+from xfreqbench.units import parse_number
 
 MeshKind = Literal["ply", "stl", "obj"]
 SCENE_SUFFIXES = (".glb", ".obj")  # of files that are a whole scene
@@ -247,11 +248,11 @@ def _obj_parts(content: bytes) -> list[_ObjPart]:
             raise ValueError(f"line {number} is {keyword!r}, of which nothing is read here; export meshes as faces (f)")
         try:
             if keyword == "v":
-                x, y, z = map(float, rest.split()[:3])
+                x, y, z = (parse_number(word) for word in rest.split()[:3])
                 vertices.append((x, y, z))
             elif keyword == "f":
                 part = parts.get((name, material)) or parts.setdefault((name, material), _ObjPart(name, material))
-                numbers = [int(word.partition("/")[0]) for word in rest.split()]
+                numbers = [parse_number(word.partition("/")[0], int) for word in rest.split()]
                 part.faces.append([index - 1 if index > 0 else len(vertices) + index for index in numbers])
                 if (
                     len(numbers) < 3

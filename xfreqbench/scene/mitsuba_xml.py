@@ -36,6 +36,7 @@ from xfreqbench.scene.materials import (
 from xfreqbench.scene.mesh_files import MeshKind, mesh_errors, read_mesh
 from xfreqbench.system.files import require_regular
 from xfreqbench.types import FloatArray
+from xfreqbench.units import parse_number
 
 Element = ElementTree.Element
 
@@ -209,11 +210,11 @@ def _bsdf_of(shape: Element, bsdfs: dict[str, Element], where: str) -> Element:
 
 def _nested(bsdf: Element, bsdfs: dict[str, Element]) -> list[Element]:
     """A material and all that it wraps, as `twosided` does, or refers to, the outer before the inner."""
-    found = [bsdf]
+    found, met = [bsdf], {id(bsdf)}
     for outer in found:  # which grows
         inner = [*outer.findall("./bsdf"), *(bsdfs.get(ref.get("id", "")) for ref in outer.findall("./ref"))]
-        met = set(map(id, found))
         found += [one for one in inner if one is not None and id(one) not in met]
+        met.update(map(id, inner))
     return found
 
 
@@ -296,7 +297,11 @@ def _scattering(bsdf: Element, name: str, path: Path) -> Scattering | None:
     values = {child.get("name", ""): child.get("value", "") for child in bsdf}
     if "scattering_coefficient" not in values:
         return None
-    stated = {key: values[word] for key, word in _SCATTERING.items() if word in values}
+    stated = {
+        key: values[word] if key == "pattern" else _finite(values[word])
+        for key, word in _SCATTERING.items()
+        if word in values
+    }
     try:
         return TypeAdapter(Scattering).validate_python(stated)
     except ValidationError as error:
@@ -311,19 +316,20 @@ def _number(bsdf: Element, name: str, path: Path, least: float, most: float) -> 
     if stated is None:
         return None
     text = stated.get("value", "")
-    try:
-        number = float(text)
-    except ValueError:
-        number = np.nan
-    is_thickness = name == "thickness"
+    number, is_thickness = _finite(text), name == "thickness"
     if not least <= number <= most or (is_thickness and number == least):
-        needed = (
-            f"a number of metres above 0, up to {most:g}, or leave it out for {DEFAULT_THICKNESS_M:g}"
-            if is_thickness
-            else f"a number from {least:g} to {most:g}"
-        )
+        metres = f"a number of metres above 0, up to {most:g}, or leave it out for {DEFAULT_THICKNESS_M:g}"
+        needed = metres if is_thickness else f"a number from {least:g} to {most:g}"
         raise SceneError(f"{path}: the {name} of material {bsdf.get('id', '')!r} is {text!r}. Give {needed}.")
     return number
+
+
+def _finite(text: str) -> float:
+    """The number that a text shows, or nan."""
+    try:
+        return parse_number(text)
+    except ValueError:
+        return math.nan
 
 
 def _check_shape(shape: Element, kind: str, where: str) -> None:
@@ -411,10 +417,7 @@ def vector(element: ElementTree.Element, where: str, default: float = 0.0) -> Fl
 
 def _numbers(text: str, element: ElementTree.Element, where: str, *counts: int) -> Float[FloatArray, "n"]:
     """Numbers of a text, separated by blanks or commas."""
-    try:
-        numbers = np.array([float(word) for word in text.replace(",", " ").split()])
-    except ValueError:
-        numbers = np.array([math.nan])
+    numbers = np.array([_finite(word) for word in text.replace(",", " ").split()])
     if len(numbers) not in counts or not np.isfinite(numbers).all():
         raise SceneError(
             f"{where} has a <{element.tag}> with {text[:60]!r}; give {' or '.join(map(str, counts))} finite numbers."

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from importlib import resources
 from math import atan2, degrees, hypot, isclose, prod
 from pathlib import Path
@@ -55,7 +55,8 @@ Orientation = tuple[Degrees, Degrees, Degrees]  # bearing, downtilt and slant: s
 _STRICT = ConfigDict(extra="forbid")
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
 UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
-_OF_FILE = ("up", "unit", "outside", "mirrors", "least_patch_area_m2", "least_patch_width_m")  # of a scene
+_OF_FILE = ("up", "unit", "mirrors", "least_patch_area_m2", "least_patch_width_m")  # of a scene
+_MOST_FAULTS, _MOST_DOTS = 20, 10_000
 _NOT_IN_TOML = {"folder", "other_receivers"}
 _ALWAYS_WRITTEN = {"name", "receiver", "description", "surface", "scene"}  # in JSON; other fields if they are given
 
@@ -312,7 +313,7 @@ class Scene:
     `scene` may name a file whose meshes are added to the surfaces: a Mitsuba XML, GLB or OBJ, relative to `folder`,
     or `sionna:NAME` for a scene that Sionna RT brings. In the file the axis `up` points upwards, by default y in a GLB,
     as glTF demands, and z in the others, and lengths are in `unit`, by default metres. `outside` says that the array,
-    or all transmitters, are meant to stand outside of all meshes. `material` names materials. `rooms` names closed
+    or all transmitters, are meant to stand outside of all surfaces. `material` names materials. `rooms` names closed
     meshes whose inside is free space; without it, they are found. `closed` promises that nothing leads out of the room
     of the receiver. A file may have several `[[receiver]]`, each with a name: those after the first are
     `other_receivers`. `transmitter_polarization` goes before what the grid of transmitters states.
@@ -409,7 +410,7 @@ class Scene:
         is_so = turned.transmitter_antenna.polarization == sent
         return turned if is_so else replace(turned, transmitter_polarization=sent)
 
-    @property
+    @cached_property
     def materials(self) -> dict[str, SceneMaterial]:
         """The scene's own table of materials, by name."""
         return {material.name: material for material in self.material}
@@ -527,6 +528,8 @@ def read_toml(path: Path, parse: Callable[[str], Parsed]) -> Parsed:
 
 def toml_content(text: str) -> dict[str, Any]:
     """The content of TOML text; raises `SceneError`."""
+    if any(part.count(".") > _MOST_DOTS for part in text.split("=")):  # which would take the parser minutes
+        raise SceneError(f"a key or value has more than {_MOST_DOTS:,} points. Write shorter ones.")
     try:
         return tomllib.loads(text)
     except RecursionError as error:
@@ -547,10 +550,10 @@ def form_errors(what: str, kind: type) -> Iterator[None]:
     try:
         yield
     except ValidationError as error:
-        faults = "\n".join(
-            f"  {_place(*fault['loc']) or what}: {_fault_words(kind, fault)}" for fault in error.errors()
-        )
-        raise SceneError(f"the {what} has no valid form:\n{faults}") from error
+        faults = error.errors()
+        words = [f"  {_place(*fault['loc']) or what}: {_fault_words(kind, fault)}" for fault in faults[:_MOST_FAULTS]]
+        words += [f"  and {len(faults) - len(words)} more"] * (len(faults) > len(words))
+        raise SceneError("\n".join([f"the {what} has no valid form:", *words])) from error
 
 
 def _place(*location: int | str) -> str:

@@ -65,7 +65,7 @@ def place_transmitters(
             f"None of the {len(lattice_m)} transmitter positions of scene {scene.name!r} is usable "
             f"({rejected}). Move the grid into free space or lower clearance_m."
         )
-    _check_inside(scene, meshes, lattice_m[usable], "Every transmitter")
+    check_inside(scene, meshes, lattice_m[usable], "Every transmitter")
     return Placement(lattice_m[usable], rejected)
 
 
@@ -105,7 +105,7 @@ def check_transmitters(
             f"Transmitter {row} stands at {format_point(tx_position_m[row])} m; give finite metres, up to {FAR_M:g}."
         )
     _check_free(scene, meshes, tx_position_m, "Transmitter")
-    _check_inside(scene, meshes, tx_position_m, "Every transmitter")
+    check_inside(scene, meshes, tx_position_m, "Every transmitter")
     for receiver, carrier in product(scene.receivers, carrier_hz):
         element_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier)
         points_m = np.vstack([receiver.position_m, element_m])
@@ -136,7 +136,7 @@ def check_receiver(scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_h
     It is checked at the lowest carrier, where the array is widest. With a mesh file the array may not stand outside of
     everything either, and a room that is too high raises `SceneError`.
     """
-    _check_inside(scene, meshes, np.array([scene.receiver.position_m]), "The receiver")
+    check_inside(scene, meshes, np.array([scene.receiver.position_m]), "The receiver")
     _check_height(scene, meshes)
     element_m = scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / lowest_carrier_hz)
     points_m = np.vstack([scene.receiver.position_m, element_m])
@@ -151,13 +151,23 @@ def check_receiver(scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_h
         )
 
 
-def _check_inside(scene: Scene, meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"], what: str) -> None:
-    """Raise `PlacementError` where all points stand outside of a mesh file's scene, unless it says `outside`."""
-    if _has_file(scene) and not scene.outside and are_outside(meshes, points_m).all():
+def check_inside(scene: Scene, meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"], what: str) -> None:
+    """Raise `PlacementError` where all points stand outside of a scene, unless it says `outside`.
+
+    With a mesh file that is outside of all meshes; for any scene, three times as far from surfaces and receivers as
+    these measure, which is where positions in centimetres or millimetres would be.
+    """
+    if scene.outside or not meshes:
+        return
+    known_m = np.vstack([bounds_m(meshes), *(receiver.position_m for receiver in scene.receivers)])
+    off_m = np.abs(points_m - points_m.clip(known_m.min(axis=0), known_m.max(axis=0))).max(axis=1)
+    is_of_file, are_far = _has_file(scene), off_m.min() > 3 * np.ptp(known_m, axis=0).max()
+    if are_far or (is_of_file and are_outside(meshes, points_m).all()):
+        how = "how the file is meant, as in unit = 'mm' and up = 'y', or " if is_of_file else ""
         raise PlacementError(
-            f"{what} of scene {scene.name!r} stands outside of all meshes, at {format_point(points_m[0])} m; they "
-            f"measure {_size(meshes)} from {format_point(bounds_m(meshes)[0])} m. Move it, or say in the scene's TOML "
-            "how the file is meant, as in unit = 'mm' and up = 'y', or outside = true where it is to stand there."
+            f"{what} of scene {scene.name!r} stands outside of all {'meshes' if is_of_file else 'surfaces'}, at "
+            f"{format_point(points_m[0])} m; they measure {_size(meshes)} from {format_point(bounds_m(meshes)[0])} m. "
+            f"Move it, in metres, or say in the scene's TOML {how}outside = true where it is to stand there."
         )
 
 

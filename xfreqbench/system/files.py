@@ -7,6 +7,7 @@ import errno
 import glob
 import hashlib
 import json
+import math
 import os
 import platform
 import re
@@ -323,23 +324,26 @@ def sole_writer(output: Path) -> AbstractContextManager[object]:
     return sole_worker(output.with_name(f".{output.name}.lock"), output)
 
 
-def require_regular(path: Path) -> Path:
+def require_regular(path: Path, most_bytes: float = math.inf) -> Path:
     """Return `path`, which is to be read, unless a pipe or a device is there, whose reading may never end.
 
-    Raises `OSError` that names the path, as opening it would: for what is neither a file nor a folder, or is missing.
+    Raises `OSError` that names the path, as opening it would: for what is neither a file nor a folder, or is missing,
+    and for a file of more than `most_bytes`.
     """
-    mode = path.stat().st_mode
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+    state = path.stat()
+    if not (stat.S_ISREG(state.st_mode) or stat.S_ISDIR(state.st_mode)):
         raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
+    if state.st_size > most_bytes:
+        raise OSError(errno.EFBIG, f"it has {state.st_size:,} bytes, and {most_bytes:,} are the most", str(path))
     return path
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, most_bytes: float = math.inf) -> str:
     """The text in a file, of UTF-8 or, where its byte order mark says so, UTF-16; `\\r\\n` and `\\r` end lines too.
 
     Raises as `require_regular`, and `UnicodeError`.
     """
-    with require_regular(path).open("rb") as file:
+    with require_regular(path, most_bytes).open("rb") as file:
         is_utf_16 = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     return path.read_text("utf-16" if is_utf_16 else "utf-8-sig")
 

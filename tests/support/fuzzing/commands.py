@@ -65,6 +65,8 @@ LINES: dict[str, tuple[str, ...]] = {
     "split file": (f"split --data {DATA} -o split.h5 --targets 10 --maps -q",),
     "predictions made elsewhere": (f"{_SCORE} new",),
     "PNG folder": ("import maps -o new.h5 -q",),
+    "receiver of a PNG folder": ("import maps -o new.h5 -q",),
+    "table of a PNG folder": ("import maps -o new.h5 -q",),
     "DeepMIMO scenario": ("import scenarios --from deepmimo -o new.h5 -q",),
     "DeepMIMO scenario of MATLAB": ("import mats --from deepmimo -o new.h5 -q",),
     "fingerprint": (f"bench fingerprint ./room.toml -o {FINGERPRINT} --interactions specular,refraction -q",),

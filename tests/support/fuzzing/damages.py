@@ -20,7 +20,7 @@ from safetensors.numpy import load, save
 
 from tests.support.fuzzing.common import JSON_VALUES, ODD_NUMBERS, WORDS, cut_or_flipped, odd_array, spoilt_json, torn
 from tests.support.fuzzing.hdf5 import hdf5_files
-from tests.support.fuzzing.png import png_folders
+from tests.support.fuzzing.png import PNG_FOLDER, png_folders, receivers
 from tests.support.fuzzing.scenes import edited, ply_files, toml_file
 from tests.support.fuzzing.sound_files import DATA, FINGERPRINT, MAPS, RECORDS, ROOM, SPLIT, sound_files
 from xfreqbench.runs.sealed import SEAL, content_sha256
@@ -116,17 +116,38 @@ def _spoilt_tensors(content: bytes) -> st.SearchStrategy[bytes]:
     return (arrays | arrays | gone).map(save)
 
 
-def _table(head: str, sound: bytes) -> st.SearchStrategy[bytes]:
-    """A table of numbers, which may mean nothing, below a line of names or without it; or other bytes."""
-    heads = st.sampled_from([[head], []])
-    rows = st.lists(st.lists(ODD_NUMBERS | st.floats().map(str) | WORDS, max_size=5).map(",".join), max_size=4)
-    texts = st.builds(lambda head, rows: "\n".join(head + rows).encode(), heads, rows)
-    return texts | st.binary(max_size=60) | cut_or_flipped(sound)
+def _table(sound: bytes) -> st.SearchStrategy[bytes]:
+    """A table with cells, lines and columns as they should not be; one of numbers that mean nothing; or other bytes."""
+    known = [line.split(",") for line in sound.decode().splitlines()]
+    heads = st.sampled_from([known[:1], []])
+    cells = st.sampled_from(_ODD_CELLS) | ODD_NUMBERS | st.floats().map(str) | WORDS
+    rows = st.lists(st.lists(cells, max_size=5), max_size=4)
+    texts = st.builds(lambda head, rows: "\n".join(map(",".join, head + rows)).encode(), heads, rows)
+    odd = st.lists(st.tuples(st.integers(0, len(known) - 1), st.integers(0, len(known[0])), cells), max_size=3)
+    lines = st.lists(st.sampled_from(range(len(known))), max_size=len(known)) | st.just([*range(len(known))])
+    columns = st.lists(st.integers(0, len(known[0]) - 1), max_size=6) | st.just([*range(len(known[0]))])
+    spoilt = st.builds(partial(_spoilt_table, known), odd, lines, columns, st.sampled_from(_WRITTEN))
+    return texts | spoilt | spoilt | st.binary(max_size=60) | cut_or_flipped(sound)
+
+
+def _spoilt_table(
+    known: list[list[str]], odd: list[tuple[int, int, str]], lines: list[int], columns: list[int], written: Callable
+) -> bytes:
+    """Some lines and columns of a table, odd cells in place of others or behind the last, written in some way."""
+    rows = [[known[line][column] for column in columns] for line in lines]
+    for line, column, cell in odd:
+        for row in rows[line : line + 1]:
+            row[column : column + 1] = [cell]
+    return written(rows).encode("utf-8", "surrogateescape")
+
+
+def _joined(separator: str, end: str = "\n", point: str = ".") -> Callable[[list[list[str]]], str]:
+    return lambda rows: end.join(separator.join(row).replace(".", point) for row in rows)
 
 
 def _positions() -> st.SearchStrategy[Damage]:
     """The table as it is, or packed and cut, in every file of positions."""
-    contents = _table("x,y,z", b"x,y,z\n1.0,1.0,1.0\n0.5,0.5,1.5\n").flatmap(
+    contents = _table(b"x,y,z,sample\n1.0,1.0,1.0,1\n0.5,0.5,1.5,2\n").flatmap(
         lambda text: st.sampled_from([text, text, gzip.compress(text, mtime=0)[:-4], lzma.compress(text)[:-4]])
     )
     return contents.map(lambda content: dict.fromkeys(("tx.csv", "tx.csv.gz", "tx.xz"), content))
@@ -208,6 +229,28 @@ def _mat(**arrays: Any) -> bytes:
     return buffer.getvalue()
 
 
+_ODD_CELLS = [
+    "1_0",
+    "010",
+    "1:30",
+    "0x10",
+    "1,5",
+    '"1,5"',
+    '"',
+    "#",
+    "NA",
+    "-999",
+    "100",
+    "٣",
+    "−1",
+    "1 000",
+    "x",
+    "x_mm",
+]
+_WRITTEN = [
+    *(_joined(","), _joined(";"), _joined("\t"), _joined("  "), _joined("|"), _joined(",", "\r\n"), _joined(",", "\r")),
+    *(_joined(",", point=","), _joined(";", point=","), lambda rows: "\ufeff# " + _joined(", ")(rows)),
+]
 _DECLARED = [(SPLIT, name) for name in ("seed", "fit_seconds", "parameters", "url", "hardware", "other")]
 _DAMAGES: dict[str, Callable[[], st.SearchStrategy[Damage]]] = {
     "data set": lambda: in_place_of(DATA, hdf5_files(sound_files()[DATA])),
@@ -219,11 +262,13 @@ _DAMAGES: dict[str, Callable[[], st.SearchStrategy[Damage]]] = {
     "split file": lambda: in_place_of("split.h5", hdf5_files(sound_files()["split.h5"])),
     "predictions made elsewhere": lambda: in_place_of("theirs.h5", hdf5_files(sound_files()["theirs.h5"], _DECLARED)),
     "PNG folder": png_folders,
+    "receiver of a PNG folder": lambda: in_place_of("maps/gateway_info.yml", receivers()),
+    "table of a PNG folder": lambda: in_place_of("maps/tx_pos.csv", _table(PNG_FOLDER["tx_pos.csv"])),
     "DeepMIMO scenario": partial(_scenarios, "scenarios/", _npz),
     "DeepMIMO scenario of MATLAB": partial(_scenarios, "mats/", _mat),
     "fingerprint": _fingerprints,
     "positions": _positions,
-    "measurement": lambda: in_place_of("measured.csv", _table("x,y,z,power", sound_files()["measured.csv"])),
+    "measurement": lambda: in_place_of("measured.csv", _table(sound_files()["measured.csv"])),
     "scene": _scenes,
     "mesh": lambda: in_place_of("wall.ply", ply_files()),
 }

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import io
+import json
 from pathlib import Path
 
 import numpy as np
 from hypothesis import strategies as st
 from PIL import Image
 
-from tests.support.fuzzing.common import cut_or_flipped
+from tests.support.fuzzing.common import WORDS, cut_or_flipped, spoilt_json
 from tests.support.fuzzing.scenes import edited_bytes
 
 
@@ -26,6 +27,40 @@ PNG_FOLDER = {
     "freq.txt": b"24.25\n24.25\n",
     "gateway_info.yml": b"gateway1:\n  position: [2,1,-0.5]\n  orientation:  [ 0.0, 0.0, 0.0,  1.0]\n",
 }
+
+
+ODD_YAML = [
+    *("010", "1:30", "1_0", "0x10", ".inf", ".nan", "~", "yes", "2001-01-01", "=", "<<", "1e1", "٣", "9" * 5000),
+    *(
+        "*a",
+        "&a",
+        "&a [*a]",
+        "!!python/object/apply:os.abort []",
+        "!!binary 'x'",
+        "!x",
+        "|",
+        ">",
+        "? ",
+        "- ",
+        "{",
+        "[" * 3000,
+    ),
+    *(
+        "%YAML 9.9\n---\n",
+        "---\n",
+        "...\n",
+        "\t",
+        "@",
+        "`",
+        "\0",
+        "\ud800",
+        "\u2028",
+        "#",
+        "'",
+        '"\\x',
+        "&a {<<: *a}: ",
+    ),
+]
 
 
 def write_png_folder(folder: Path, **changed: bytes | None) -> None:
@@ -49,6 +84,18 @@ def png_folders() -> st.SearchStrategy[dict[str, bytes | None]]:
     )
     files = st.lists(texts | images, min_size=1, max_size=2).map(dict)
     return files.map(lambda found: {f"maps/{name}": content for name, content in found.items()})
+
+
+def receivers() -> st.SearchStrategy[bytes]:
+    """Texts of `gateway_info.yml` with parts that are of another type, gone or added, and with odd texts of YAML."""
+    gateway = {"position": [2, 1, -0.5], "orientation": [0.0, 0.0, 0.0, 1.0]}
+    spoilt = spoilt_json({"convention": {"rows": "polar", "first_row_deg": 0}, "gateway1": gateway}).map(json.dumps)
+    sound = PNG_FOLDER["gateway_info.yml"].decode()
+    places = ["2", "[2,1,-0.5]", "gateway1", "gateway1:", "1.0]", "  position", "\n"]
+    replaced = st.tuples(st.sampled_from(places), st.sampled_from(ODD_YAML) | WORDS).map(
+        lambda change: sound.replace(*change, 1)
+    )
+    return (spoilt | replaced | replaced).map(lambda text: text.encode("utf-8", "surrogateescape"))
 
 
 def odd_images() -> st.SearchStrategy[bytes]:
