@@ -264,11 +264,11 @@ def sole_worker(lock: Path, output: Path) -> Iterator[str]:
     `lock` is a file that is made for this and removed afterwards; it may be removed during the block. Its first line
     is the text that is yielded: which process this is, and since when. The system releases the lock of a process that
     is killed, whose file stays. Within the block the same thread may hold it once more. Raises `StorageError` where
-    the file cannot be made.
+    the file cannot be made, and where the file system has no locks.
     """
     with storage_errors(output):
         lock.parent.mkdir(parents=True, exist_ok=True)
-        held = FileLock(lock, is_singleton=True)
+        held = FileLock(lock, is_singleton=True, fallback_to_soft=False)
         try:
             held.acquire(blocking=False)
         except Timeout as error:
@@ -277,6 +277,13 @@ def sole_worker(lock: Path, output: Path) -> Iterator[str]:
                 holder = lock.read_text(encoding="utf-8").partition("\n")[0] or holder
             raise InUseError(
                 f"{output} is being written by {holder}. Wait until that one ends, or choose another output."
+            ) from error
+        except OSError as error:
+            if error.errno not in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK):
+                raise
+            raise StorageError(
+                f"The file system of {lock.parent} has no locks (flock: {error.strerror}), so that two processes could "
+                "write one output. Choose a folder on another one, or have it mounted with locks (Lustre: -o flock)."
             ) from error
         since = datetime.now().astimezone().isoformat(" ", "seconds")
         holder = f"process {os.getpid()} on {platform.node()}, since {since}"
