@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import csv
 import errno
 import glob
 import hashlib
@@ -13,7 +14,7 @@ import re
 import shutil
 import stat
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from datetime import datetime
 from pathlib import Path
@@ -170,6 +171,27 @@ def write_text(target: Path, text: str) -> None:
     content = text.encode(errors="backslashreplace")
     with atomic_path(target, len(content)) as temporary, storage_errors(target, len(content)):
         temporary.write_bytes(content)
+
+
+def write_columns(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:
+    """Write columns, by name, as CSV. A text that a spreadsheet would compute as a formula gets an apostrophe first.
+
+    Names of files that are no UTF-8 are escaped. Raises `OSError`.
+    """
+    with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(map(_inert, columns))
+        writer.writerows(map(_inert, row) for row in zip(*columns.values(), strict=True))
+
+
+def _inert(cell: Any) -> Any:
+    if not isinstance(cell, str) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell
 
 
 @contextmanager
