@@ -36,7 +36,7 @@ def test_records_come_back_in_order_with_jobs_curves_and_infinite_scores(tmp_pat
 
 def test_numbers_are_those_that_are_stored(tmp_path: Path) -> None:
     """To 1e-4 where there are many of a kind; findings to 1e-7, and small ones to three digits."""
-    ssim_by_tx = ((0.1234, -0.5), (1.0,), (0.9999,))
+    ssim_by_tx = ((0.1234, -0.5), (1.0,))
     findings = {"planes": [{"distance_m": 2.59996491812, "std_m": 1.70976e-05}], "blend": "none"}
     summary = make_summary(0.123456789)
     record = make_record(scores={"ssim": summary}, ssim_by_tx=ssim_by_tx, findings=findings)
@@ -200,7 +200,7 @@ def test_a_field_that_no_run_writes_is_refused_by_file_line_and_field(
     tmp_path: Path, place: str, value: object
 ) -> None:
     point = CurvePoint(step=1, seconds=0.5, loss=0.1, ssim=0.4, share=1)
-    whole = make_record(curve=(point,), ssim_by_tx=((0.5,),), external=External(sha256="a" * 64))
+    whole = make_record(curve=(point,), ssim_by_tx=((0.9,),), external=External(sha256="a" * 64))
     path = tmp_path / "records.jsonl"
     append(path, make_record())
     path.write_text(path.read_text() + edited(whole, place, value))
@@ -233,6 +233,16 @@ def test_a_record_that_was_changed_afterwards_is_refused(tmp_path: Path, record:
     assert list(json.loads(second))[-1] == "content_sha256"
     path.write_text(f"{first}\n{second.replace('2026-01-01', '2026-01-02')}\n")
     with pytest.raises(DataError, match=r"line 2, .*it was changed after it was written.*Delete the line"):
+        read(path)
+
+
+def test_a_record_whose_median_is_not_that_of_its_own_samples_is_refused_though_its_hash_holds(tmp_path: Path) -> None:
+    path = tmp_path / "records.jsonl"
+    whole = make_record(ssim_by_tx=((0.2, 0.90004), (1.0,)))  # samples have four decimals
+    append(path, whole)
+    assert len(read(path).records) == 1
+    path.write_text(edited(whole, "scores.ssim.median", 0.95))
+    with pytest.raises(DataError, match=r"line 1, .*median is 0\.95000, but the median of ssim_by_tx is 0\.90000"):
         read(path)
 
 

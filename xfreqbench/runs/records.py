@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from math import nan
 from pathlib import Path
 from typing import Annotated, Any
@@ -42,7 +42,7 @@ from xfreqbench.units import band_text
 NUM_QUANTILES = 101
 LEAST_CORE_SHARE = 0.7  # of a core, below which seconds of a fit say little
 _BENCH_START = b'{"bench":'  # the line of a table begins so, and that of a run does not
-_STARTS = b'{"id":"', _BENCH_START
+_STARTS = b'{"id":', _BENCH_START
 CURVE_SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the budget; the fit's end comes after
 CURVE_MAPS = 64  # maps that are scored for every point of a learning curve
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -268,6 +268,15 @@ class RunRecord(SealedModel):
     fit_processor_seconds: Seconds | None = None
     trained_band_hz: tuple[Amount, Amount] | None = None
     removed_predictions_sha256: Sha256 | None = None
+
+    @model_validator(mode="after")
+    def _require_own_median(self) -> RunRecord:
+        if self.ssim_by_tx and "ssim" in self.scores:
+            ssim = np.fromiter(chain.from_iterable(self.ssim_by_tx), np.float64)
+            claimed, found = self.scores["ssim"].median, float(np.median(ssim))
+            if not abs(claimed - found) < _STEP:  # scores of samples have four decimals
+                raise ValueError(f"scores.ssim.median is {claimed:.5f}, but the median of ssim_by_tx is {found:.5f}")
+        return self
 
     @property
     def extrapolated_from(self) -> str:
