@@ -36,7 +36,7 @@ def test_records_come_back_in_order_with_jobs_curves_and_infinite_scores(tmp_pat
 
 def test_numbers_are_those_that_are_stored(tmp_path: Path) -> None:
     """To 1e-4 where there are many of a kind; findings to 1e-7, and small ones to three digits."""
-    ssim_by_tx = ((0.1234, -0.5), (1.0,), (0.9999,))
+    ssim_by_tx = ((0.1234, -0.5), (1.0,))
     findings = {"planes": [{"distance_m": 2.59996491812, "std_m": 1.70976e-05}], "blend": "none"}
     summary = make_summary(0.123456789)
     record = make_record(scores={"ssim": summary}, ssim_by_tx=ssim_by_tx, findings=findings)
@@ -83,6 +83,65 @@ def test_a_line_that_a_kill_cut_off_is_counted_and_replaced_by_the_next_record(t
     append(path, make_record("line-of-sight"))
     assert [record.job.method for record in read(path).records] == ["nearest", "line-of-sight"]
     assert read(path).num_truncated == 0
+
+
+BOM = b"\xef\xbb\xbf"
+JOURNEYS = {
+    "no end of the last line": lambda raw: raw[:-1],
+    "line ends of Windows": lambda raw: raw.replace(b"\n", b"\r\n"),
+    "line ends of Windows, the last cut": lambda raw: raw.replace(b"\n", b"\r\n")[:-1],
+    "line ends of old": lambda raw: raw.replace(b"\n", b"\r"),
+    "a byte order mark": lambda raw: BOM + raw,
+    "a byte order mark in an empty file": lambda raw: BOM,
+    "blank lines": lambda raw: b"\n \n" + raw.replace(b"\n", b"\n\n") + b" ",
+    "two lines joined": lambda raw: raw.replace(b"\n", b"", 1),
+    "all lines joined": lambda raw: raw.replace(b"\n", b""),
+}
+
+
+@pytest.mark.parametrize("journey", JOURNEYS)
+def test_whole_records_survive_a_journey_and_what_is_appended_after_it(tmp_path: Path, journey: str) -> None:
+    path = tmp_path / "records.jsonl"
+    for record in (make_record(), make_bench(), make_record("line-of-sight")):
+        append(path, record)
+    content = JOURNEYS[journey](path.read_bytes())
+    methods, benches = ([], 0) if content == BOM else (["nearest", "line-of-sight"], 1)
+    for more in ([], ["k-nearest"]):
+        path.write_bytes(content)
+        for method in more:
+            append(path, make_record(method))
+        assert path.read_bytes().startswith(content)
+        stored = read(path)
+        assert [record.job.method for record in stored.records] == methods + more
+        assert (len(stored.benches), stored.num_truncated) == (benches, 0)
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        pytest.param(make_record().sealed_json().replace(b"2026-01-01", b"2026-01-02"), id="changed"),
+        pytest.param(make_record().sealed_json()[:100] + b"\0" * 50, id="zeros of a disk that lost power"),
+        pytest.param(b'{"foo":1,"b', id="another program's"),
+        pytest.param(b"note to myself", id="text"),
+    ],
+)
+def test_a_last_line_that_is_neither_whole_nor_half_a_record_is_refused_and_stays(tmp_path: Path, end: bytes) -> None:
+    path = tmp_path / "records.jsonl"
+    append(path, make_record())
+    content = path.read_bytes() + end
+    path.write_bytes(content)
+    for use in (lambda: read(path), lambda: append(path, make_record("k-nearest"))):
+        with pytest.raises(DataError, match="line 2, is no run record"):
+            use()
+        assert path.read_bytes() == content
+
+
+def test_what_a_kill_leaves_of_a_line_is_told_from_a_whole_one_wherever_it_was_cut(tmp_path: Path) -> None:
+    path, whole = tmp_path / "records.jsonl", make_record(findings={"µ": ['é "\\', -1e-7, True]}).sealed_json()
+    for end in range(1, len(whole) + 1):
+        path.write_bytes(whole[:end])
+        stored = read(path)
+        assert (len(stored.records), stored.num_truncated) == ((1, 0) if end == len(whole) else (0, 1)), whole[:end]
 
 
 def _append_many(path, method):
@@ -141,7 +200,7 @@ def test_a_field_that_no_run_writes_is_refused_by_file_line_and_field(
     tmp_path: Path, place: str, value: object
 ) -> None:
     point = CurvePoint(step=1, seconds=0.5, loss=0.1, ssim=0.4, share=1)
-    whole = make_record(curve=(point,), ssim_by_tx=((0.5,),), external=External(sha256="a" * 64))
+    whole = make_record(curve=(point,), ssim_by_tx=((0.9,),), external=External(sha256="a" * 64))
     path = tmp_path / "records.jsonl"
     append(path, make_record())
     path.write_text(path.read_text() + edited(whole, place, value))
@@ -174,6 +233,16 @@ def test_a_record_that_was_changed_afterwards_is_refused(tmp_path: Path, record:
     assert list(json.loads(second))[-1] == "content_sha256"
     path.write_text(f"{first}\n{second.replace('2026-01-01', '2026-01-02')}\n")
     with pytest.raises(DataError, match=r"line 2, .*it was changed after it was written.*Delete the line"):
+        read(path)
+
+
+def test_a_record_whose_median_is_not_that_of_its_own_samples_is_refused_though_its_hash_holds(tmp_path: Path) -> None:
+    path = tmp_path / "records.jsonl"
+    whole = make_record(ssim_by_tx=((0.2, 0.90004), (1.0,)))  # samples have four decimals
+    append(path, whole)
+    assert len(read(path).records) == 1
+    path.write_text(edited(whole, "scores.ssim.median", 0.95))
+    with pytest.raises(DataError, match=r"line 1, .*median is 0\.95000, but the median of ssim_by_tx is 0\.90000"):
         read(path)
 
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import fcntl
 import multiprocessing
 import os
 import platform
@@ -8,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.stored_records import make_record
 from xfreqbench.errors import OutputExistsError, StorageError
+from xfreqbench.runs.records import append
 from xfreqbench.system.files import (
     atomic_folder,
     atomic_path,
@@ -52,6 +56,20 @@ def test_a_lock_that_cannot_be_made_says_so(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="cannot be written"), exclusive(tmp_path / "file" / "lock"):
         pass
+
+
+@pytest.mark.parametrize("number", [errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK])
+def test_a_file_system_without_locks_is_refused_in_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def no_lock(descriptor: int, operation: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", no_lock)
+    for write in (lambda: write_text(tmp_path / "output", "new"), lambda: append(tmp_path / "r.jsonl", make_record())):
+        with pytest.raises(StorageError, match=rf"has no locks \(flock: {os.strerror(number)}\).* another one"):
+            write()
+    assert not [path for path in tmp_path.iterdir() if path.suffix != ".lock"]
 
 
 def _hold_for_ever(folder: Path) -> None:

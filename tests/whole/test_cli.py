@@ -265,3 +265,11 @@ def test_a_mistake_is_found_before_heavy_libraries_are_imported(dataset: PasData
         (["info", "nofile"], "no file nofile"),
     ]
     subprocess.run([sys.executable, "-c", REFUSE_ALL, json.dumps(refused)], check=True, cwd=tmp_path)
+
+
+@pytest.mark.slow
+def test_where_docstrings_are_left_out_it_says_so() -> None:
+    command = [sys.executable, "-B", "-OO", "-m", "xfreqbench.cli"]
+    for words in (["methods", "nearest"], ["--help"]):
+        done = subprocess.run([*command, *words], capture_output=True, text=True, check=True)
+        assert "PYTHONOPTIMIZE=2 (python -OO) leaves out" in done.stdout

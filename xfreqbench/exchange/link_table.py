@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.statistics import of_paths
 from xfreqbench.errors import DataError, XFreqBenchError
-from xfreqbench.system.files import atomic_path, require_own, storage_errors
+from xfreqbench.system.files import atomic_path, require_own, storage_errors, write_columns
 from xfreqbench.types import NDArray, ProgressCallback, ignore_progress
 
 _OF_PATHS = {  # columns, by the names of `LinkStatistics`
@@ -36,10 +35,8 @@ def export_link_table(
     `DataError` for a data set of maps alone, `XFreqBenchError` where pyarrow is not installed, and `StorageError`.
     """
     require_own(output, lambda _: "is not written over.")
-    write = _write_csv
     if output.suffix == ".parquet":
         pyarrow_here()
-        write = _write_parquet
     dataset = open_dataset(path)
     links, parts = list(dataset.links()), []
     for done, link in enumerate(links, start=1):
@@ -47,7 +44,10 @@ def export_link_table(
         progress(done, len(links))
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     with atomic_path(output) as temporary, storage_errors(output):
-        write(temporary, columns)
+        if output.suffix == ".parquet":
+            _write_parquet(temporary, columns)
+        else:
+            write_columns(temporary, {name: _cells(column) for name, column in columns.items()})
     return dataset
 
 
@@ -88,13 +88,6 @@ def link_columns(dataset: PasDataset, transmit_power_dbm: float | None = None) -
         for column, (name, scale) in _OF_PATHS.items():
             columns[column] = np.stack([each[name] for each in found], axis=1)[dataset.tx_index, carrier] * scale
     return columns
-
-
-def _write_csv(path: Path, columns: dict[str, NDArray[Any]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*map(_cells, columns.values()), strict=True))
 
 
 def _cells(values: NDArray[Any]) -> list[Any]:

@@ -62,11 +62,12 @@ def method_description(name: str) -> tuple[str, list[OptionRow]]:
     with method_code(f"Method {name!r} cannot be described:", "Fix its docstring or its config."):
         own, generated = _docstring(type(config)), f"{type(config).__name__}("  # as dataclasses write theirs
         texts = [_docstring(resolve_method(name)), "" if own.startswith(generated) else own]
-        return "\n\n".join(filter(None, texts)), option_rows(config)
+        return "\n\n".join(filter(None, dict.fromkeys(texts))), option_rows(config)
 
 
 def _docstring(named: Any) -> str:
-    return readable(getdoc(named) or "")
+    stripped = "PYTHONOPTIMIZE=2 (python -OO) leaves out what describes it." if sys.flags.optimize > 1 else ""
+    return readable(getdoc(named) or stripped)
 
 
 def name_of(method: str | type) -> str:

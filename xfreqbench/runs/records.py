@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import codecs
 import errno
 import os
 import zlib
@@ -10,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from math import nan
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,6 +28,7 @@ from pydantic import (
     WrapValidator,
     model_validator,
 )
+from pydantic_core import from_json
 
 from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import Budget
@@ -39,8 +41,8 @@ from xfreqbench.units import band_text
 
 NUM_QUANTILES = 101
 LEAST_CORE_SHARE = 0.7  # of a core, below which seconds of a fit say little
-_RECORD_START = b'{"'
 _BENCH_START = b'{"bench":'  # the line of a table begins so, and that of a run does not
+_STARTS = b'{"id":', _BENCH_START
 CURVE_SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the budget; the fit's end comes after
 CURVE_MAPS = 64  # maps that are scored for every point of a learning curve
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -267,6 +269,15 @@ class RunRecord(SealedModel):
     trained_band_hz: tuple[Amount, Amount] | None = None
     removed_predictions_sha256: Sha256 | None = None
 
+    @model_validator(mode="after")
+    def _require_own_median(self) -> RunRecord:
+        if self.ssim_by_tx and "ssim" in self.scores:
+            ssim = np.fromiter(chain.from_iterable(self.ssim_by_tx), np.float64)
+            claimed, found = self.scores["ssim"].median, float(np.median(ssim))
+            if not abs(claimed - found) < _STEP:  # scores of samples have four decimals
+                raise ValueError(f"scores.ssim.median is {claimed:.5f}, but the median of ssim_by_tx is {found:.5f}")
+        return self
+
     @property
     def extrapolated_from(self) -> str:
         """The band of the training carriers, as text, if a carrier outside of it is tested; else empty."""
@@ -400,64 +411,78 @@ def curve_positions(split_sha256: str, num_test: int) -> Int[NDArray[np.int64], 
 def append(path: Path, record: RunRecord | BenchRecord) -> None:
     """Add a record to a file as one line, whole and on disk before this returns.
 
-    Processes that append to one file take turns. Half a line that a killed run left at the end is removed.
-    Raises `StorageError`, and `DataError` where the end of the file is anything else.
+    Processes that append to one file take turns. Half a line that a killed run left at the end is removed, and nothing
+    else. Raises `StorageError`, and `DataError` where the last line lacks its end and is neither that nor a record.
     """
     line = record.sealed_json() + b"\n"
     with exclusive(path.with_name(f".{path.name}.lock")), storage_errors(path, len(line)):
         if path.exists():
             require_regular(path)
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            _append_line(path, descriptor, line)
-        finally:
-            os.close(descriptor)
+        with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o644), "r+b", buffering=0) as file:
+            content = file.read()
+            lines, half = _lines(content)
+            end = len(content) - len(half)
+            if end and not content.endswith(b"\n", 0, end):
+                if lines:
+                    _parse(path, *lines[-1])
+                line = b"\n" + line
+            file.truncate(end)
+            try:
+                if os.pwrite(file.fileno(), line, end) < len(line):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                os.fsync(file.fileno())
+            except OSError:
+                file.truncate(end)
+                raise
 
 
 def read(path: Path, known: StoredRecords | None = None) -> StoredRecords:
     """The records of a file, in the order in which they were written; none if there is no such file.
 
-    A last line without an end, as a killed run leaves it, is not read, but counted. Lines that `known` was read from
-    are not parsed again, so that a file that grows is read in the time of what is new. Raises `DataError` that names
-    file and line for a line that is not a record.
+    Half a line at the end, as a killed run leaves it, is not read, but counted. Lines may end as on any system,
+    the last without an end, and two may follow each other without one. Lines that `known` was read from are not
+    parsed again, so that a file that grows is read in the time of what is new. Raises `DataError` that names file
+    and line for a line that is not a record.
     """
     if not path.exists():
         return StoredRecords(())
     by_line = known.by_line if known else {}
     try:
-        *lines, rest = read_bytes(path).split(b"\n")
+        lines, half = _lines(read_bytes(path))
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror}.") from error
-    _require_half_a_record(path, rest)
-    parsed = [by_line.get(line) or _parse(path, number, line) for number, line in enumerate(lines, start=1)]
+    parsed = [by_line.get(line) or _parse(path, number, line) for number, line in lines]
     runs = tuple(record for record in parsed if isinstance(record, RunRecord))
     benches = tuple(record for record in parsed if isinstance(record, BenchRecord))
-    return StoredRecords(runs, benches, int(bool(rest)), dict(zip(lines, parsed, strict=True)))
+    return StoredRecords(
+        runs, benches, int(bool(half)), {line: record for (_, line), record in zip(lines, parsed, strict=True)}
+    )
 
 
-def _require_half_a_record(path: Path, rest: bytes) -> None:
-    """Raise `DataError` if the text after the last line end is not the start of a record: `append` would remove it."""
-    if not rest.startswith(_RECORD_START[: len(rest)]):
-        raise DataError(
-            f"{path} is no file of records, which are lines of JSON. Give a results folder, or its records.jsonl."
-        )
+def _lines(content: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
+    """The lines of a file that are not blank, with their numbers, and what a killed run wrote of one more."""
+    lines = list[tuple[int, bytes]]()
+    for number, line in enumerate(content.removeprefix(codecs.BOM_UTF8).splitlines(), start=1):
+        for start in _STARTS:  # after a brace it is in no JSON: two lines were joined there
+            line = line.replace(b"}" + start, b"}\n" + start)
+        lines += [(number, part) for part in line.splitlines() if part.strip()]
+    is_cut = lines and content.endswith(lines[-1][1]) and _is_half(lines[-1][1])
+    return lines, lines.pop()[1] if is_cut else b""
 
 
-def _append_line(path: Path, descriptor: int, line: bytes) -> None:
-    """Write after the last whole line of an open file; a write that fails half-way is undone."""
-    with os.fdopen(os.dup(descriptor), "rb") as file:
-        content = file.read()
-    end = content.rfind(b"\n") + 1
-    _require_half_a_record(path, content[end:])
-    os.ftruncate(descriptor, end)
+def _is_half(line: bytes) -> bool:
+    """Whether bytes are the beginning of a record's line, and not all of it."""
+    if not any(line.startswith(start[: len(line)]) for start in _STARTS):
+        return False
     try:
-        written = os.pwrite(descriptor, line, end)
-        if written < len(line):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        os.fsync(descriptor)
-    except OSError:
-        os.ftruncate(descriptor, end)
-        raise
+        from_json(codecs.getincrementaldecoder("utf-8")().decode(line), allow_partial=True)
+    except ValueError:
+        return False
+    try:
+        from_json(line)
+    except ValueError:
+        return True
+    return False
 
 
 def _parse(path: Path, number: int, line: bytes) -> RunRecord | BenchRecord:
@@ -465,6 +490,10 @@ def _parse(path: Path, number: int, line: bytes) -> RunRecord | BenchRecord:
     try:
         return kind.model_validate_json(line)
     except ValidationError as error:
+        if number == 1 and not line.startswith(b"{"):
+            raise DataError(
+                f"{path} is no file of records, which are lines of JSON. Give a results folder, or its records.jsonl."
+            ) from error
         raise DataError(
             f"{path}, line {number}, is no run record: {fault_of_fields(error)}. "
             "Delete the line; the run it stood for is then run again."

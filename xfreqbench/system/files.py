@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import csv
 import errno
 import glob
 import hashlib
@@ -14,7 +15,7 @@ import re
 import shutil
 import stat
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
@@ -173,6 +174,27 @@ def write_text(target: Path, text: str) -> None:
         temporary.write_bytes(content)
 
 
+def write_columns(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:
+    """Write columns, by name, as CSV. A text that a spreadsheet would compute as a formula gets an apostrophe first.
+
+    Names of files that are no UTF-8 are escaped. Raises `OSError`.
+    """
+    with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(map(_inert, columns))
+        writer.writerows(map(_inert, row) for row in zip(*columns.values(), strict=True))
+
+
+def _inert(cell: Any) -> Any:
+    if not isinstance(cell, str) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell
+
+
 @contextmanager
 def storage_errors(path: Path, num_bytes: int = 0) -> Iterator[None]:
     """Turn an `OSError` within the block into a `StorageError` that names the path and the bytes needed."""
@@ -288,11 +310,11 @@ def sole_worker(lock: Path, output: Path) -> Iterator[str]:
     `lock` is a file that is made for this and removed afterwards; it may be removed during the block. Its first line
     is the text that is yielded: which process this is, and since when. The system releases the lock of a process that
     is killed, whose file stays. Within the block the same thread may hold it once more. Raises `StorageError` where
-    the file cannot be made.
+    the file cannot be made, and where the file system has no locks.
     """
     with storage_errors(output):
         lock.parent.mkdir(parents=True, exist_ok=True)
-        held = FileLock(lock, is_singleton=True)
+        held = FileLock(lock, is_singleton=True, fallback_to_soft=False)
         try:
             held.acquire(blocking=False)
         except Timeout as error:
@@ -301,6 +323,13 @@ def sole_worker(lock: Path, output: Path) -> Iterator[str]:
                 holder = lock.read_text(encoding="utf-8").partition("\n")[0] or holder
             raise InUseError(
                 f"{output} is being written by {holder}. Wait until that one ends, or choose another output."
+            ) from error
+        except OSError as error:
+            if error.errno not in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK):
+                raise
+            raise StorageError(
+                f"The file system of {lock.parent} has no locks (flock: {error.strerror}), so that two processes could "
+                "write one output. Choose a folder on another one, or have it mounted with locks (Lustre: -o flock)."
             ) from error
         since = now().isoformat(" ", "seconds")
         holder = f"process {os.getpid()} on {platform.node()}, since {since}"

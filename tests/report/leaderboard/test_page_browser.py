@@ -284,6 +284,8 @@ def test_tables_and_charts_can_be_saved(page, tmp_path: Path) -> None:
     assert download.value.suggested_filename.endswith(".csv")
     assert [row["method"] for row in rows] == shown_labels(page)
     assert [float(row["average"]) for row in rows] == column(page, "average")[: len(rows)]
+    head = "const table = document.querySelector('.set table'), text = table.tHead.rows[0].cells[0]; "
+    assert page.evaluate(f"() => {{ {head} text.textContent = '=1+1'; return csv(table); }}").startswith("'=1+1,")
     with page.expect_download() as download:
         page.locator("#pareto button.save").click()
     download.value.save_as(tmp_path / "chart.svg")

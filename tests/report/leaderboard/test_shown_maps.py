@@ -101,7 +101,7 @@ def test_a_dozen_samples_are_shipped_with_the_levels_and_scores_of_what_was_stor
 
 def test_samples_are_chosen_from_the_easiest_to_the_hardest_and_include_both() -> None:
     ssim = np.random.default_rng(0).permutation(100).astype(float)
-    chosen = chosen_samples([make_record(ssim_by_tx=[(each,) for each in ssim.tolist()])], 100)
+    chosen = chosen_samples([make_record(ssim=49.5, ssim_by_tx=[(each,) for each in ssim.tolist()])], 100)
     scores = ssim[chosen]
     assert len(chosen) == NUM_SHOWN and (np.diff(scores) < 0).all()
     assert (scores[0], scores[-1]) == (99, 0)

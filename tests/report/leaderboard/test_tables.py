@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import csv
 import re
 from itertools import combinations
 from pathlib import Path
@@ -19,6 +20,7 @@ from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.methods.contract import Budget
 from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.report import leaderboard_summary, write_report
 from xfreqbench.report.leaderboard.results import ranked_beside
 from xfreqbench.report.leaderboard.tables import csv_tables
@@ -137,6 +139,19 @@ def test_every_split_stands_in_the_table_of_scores_with_its_carriers() -> None:
     ours = [row for row in rows if row["method"] == "ours" and row["protocol"] == "lofo"]
     assert [row["splits"] for row in ours] == [SPLITS, *((split,) for split in SPLITS)]
     assert not any("SSIM at 1 GHz" in row for row in ours)
+
+
+@pytest.mark.parametrize("start", ["=", "+", "-", "@", "\t", "\r"])
+def test_no_name_is_a_formula_of_a_spreadsheet(tmp_path: Path, start: str) -> None:
+    name = f'{start}HYPERLINK("http://x","y")'
+    store(tmp_path, *make_records(), make_record(name), make_bench(rows=[("-1.5", name)] * 13))
+    write_page(tmp_path, tmp_path / "page.html")
+    write_report(tmp_path, tmp_path / "B.md")
+    for path in (tmp_path / "page.csv", tmp_path / "B-scores.csv", *tmp_path.glob("bench-*.csv")):
+        with path.open(encoding="utf-8", newline="") as file:
+            cells = [cell for row in csv.reader(file) for cell in row]
+        assert {True} == {cell.startswith("'") for cell in cells if name in cell}, path
+    assert "-1.5" in cells
 
 
 @pytest.mark.parametrize("num_rows", [12, 13])

@@ -14,13 +14,15 @@ function saver(text, name, made) {
   return button;
 }
 
-// The rows that are shown, in their order; a number is the whole number, not the rounded one that stands in the cell.
+// The rows that are shown, in their order; a number is the whole number, not the rounded one that stands in the cell. A
+// text that a spreadsheet would compute as a formula gets an apostrophe first.
 function csv(table) {
   const heads = [...table.tHead.rows[0].cells].map((cell) => cell.textContent.trim());
   const rows = [...table.tBodies[0].rows].filter((row) => !row.hidden)
     .map((row) => [...row.cells].map((cell) => cell.dataset.value ?? cell.dataset.text ?? cell.textContent.trim()));
+  const inert = (text) => (/^[=+\-@\t\r]/.test(text) && Number.isNaN(Number(text)) ? `'${text}` : text);
   const quoted = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
-  return [heads, ...rows].map((row) => row.map(quoted).join(",")).join("\r\n") + "\r\n";
+  return [heads, ...rows].map((row) => row.map(inert).map(quoted).join(",")).join("\r\n") + "\r\n";
 }
 
 // The drawing with the colours of the page's style sheet written into it, so that it stands alone.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Iterator, Sequence
 from math import isnan
 from pathlib import Path
@@ -17,7 +15,7 @@ from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.learning_curves import learning_curves
 from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.runs.records import CURVE_SHARES
-from xfreqbench.system.files import require_own, write_text
+from xfreqbench.system.files import atomic_path, require_own, storage_errors, write_columns
 from xfreqbench.units import format_ghz
 
 CsvRow = dict[str, Any]
@@ -78,11 +76,9 @@ def write_csv(rows: Sequence[CsvRow], output_csv: Path) -> list[str]:
     """
     require_own_csv(output_csv)
     names = list(dict.fromkeys(name for row in rows for name in row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, names, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(row | ({"splits": " ".join(row["splits"])} if "splits" in row else {}) for row in rows)
-    write_text(output_csv, text.getvalue())
+    told = [row | ({"splits": " ".join(row["splits"])} if "splits" in row else {}) for row in rows]
+    with atomic_path(output_csv) as temporary, storage_errors(output_csv):
+        write_columns(temporary, {name: [row.get(name) for row in told] for name in names})
     return names
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import shlex
@@ -28,7 +27,7 @@ from xfreqbench.report.view.describe import describe
 from xfreqbench.report.view.pictures import draw_maps, plot_statistics
 from xfreqbench.scene.families import DRAWING, load_family
 from xfreqbench.scene.model import load_scene, shipped_families, shipped_scenes
-from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
+from xfreqbench.system.files import atomic_folder, require_empty, storage_errors, write_columns
 from xfreqbench.system.version import __version__
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz_list
@@ -113,7 +112,7 @@ def write_card(path: Path, folder: Path, license_id: str, tell: Callable[[str], 
             shutil.copyfile(file, written / name)
         content = _of_rooms(rooms, written) if rooms else _of_dataset(path, written, tell)
         for name, table in content.tables.items():
-            _write_csv(written / name, table)
+            write_columns(written / name, table)
         sums = {name: _sha256(written / name) for name in _names(written)}
         metadata = _metadata(croissant, content, license_id, written, sums)
         (written / METADATA).write_text(json.dumps(metadata, indent=2) + "\n", encoding="utf-8")
@@ -131,7 +130,7 @@ def _of_dataset(path: Path, written: Path, tell: Callable[[str], None]) -> _Cont
         tell("computing statistics: where no paths are stored, those of 200 transmitters are traced again")
         statistics = statistics_of(dataset)
         plot_statistics(statistics, name, written / STATISTICS)
-    _write_csv(written / TRANSMITTERS, _positions(dataset.tables["tx_position_m"]))
+    write_columns(written / TRANSMITTERS, _positions(dataset.tables["tx_position_m"]))
     _draw_maps(dataset, written)
     commands = _dataset_command(dataset, name, written)
     is_imported = bool(commands) and dataset.scene.scene is not None
@@ -238,13 +237,6 @@ def _names(folder: Path) -> list[str]:
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _write_csv(path: Path, table: Table) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(table)
-        writer.writerows(zip(*table.values(), strict=True))
 
 
 def _metadata(mlc: Any, content: _Content, license_id: str, written: Path, sums: Mapping[str, str]) -> Any:
