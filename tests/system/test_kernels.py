@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
+from subprocess import DEVNULL
+
+import pytest
+
+from tests.support.places import ROOT
+from xfreqbench.system import kernels
 
 SUMS = """
 import numpy as np
@@ -58,3 +65,37 @@ def test_who_compiles_computes_the_digits_of_who_finds_it_compiled(tmp_path: Pat
     assert answers[0] == answers[1]
     assert answers[0].endswith(" 0\n"), "compiled in the process that uses it"
     assert not (folder / "imported").exists()
+
+
+ENDLESS = """
+import pathlib, threading
+
+class kernel:
+    def compile(sig):
+        pathlib.Path("compiling").touch()
+        threading.Event().wait()
+"""
+
+
+def test_the_compiler_ends_with_who_asks_even_while_it_compiles(tmp_path: Path) -> None:
+    """Otherwise it goes on for a minute after Ctrl-C."""
+    (tmp_path / "endless.py").write_text(ENDLESS)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
+    command = [sys.executable, "-c", kernels._SERVE]
+    with subprocess.Popen(command, cwd=tmp_path, env=environment, stdin=subprocess.PIPE, stderr=DEVNULL) as compiler:
+        assert compiler.stdin
+        compiler.stdin.write(pickle.dumps(("endless", "kernel", ())))
+        compiler.stdin.flush()
+        while not (tmp_path / "compiling").exists():
+            assert compiler.poll() is None
+        compiler.stdin.close()
+        assert compiler.wait() == 1
+
+
+@pytest.mark.parametrize("death", ["os.abort()", "os.kill(os.getpid(), 9)"])
+def test_a_compiler_that_dies_as_without_memory_is_not_followed(death: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """LLVM would end this process too."""
+    monkeypatch.setattr(kernels, "_SERVE", f"import os; {death}")
+    monkeypatch.setattr(kernels, "_compilers", {})
+    with pytest.raises(MemoryError, match="the process that compiles kernels died"):
+        kernels._compile_beside("module", "name", ())

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from tests.support.places import ROOT
-from xfreqbench.errors import ClusterError, XFreqBenchError
+from xfreqbench.errors import ClusterError, OutOfMemoryError, XFreqBenchError
+from xfreqbench.system import machine
 from xfreqbench.system.workers import (
     MAX_DEATHS,
     InThisProcess,
@@ -164,7 +165,15 @@ def test_a_call_whose_process_dies_is_made_again_and_one_that_processes_die_of_i
     assert future.result() == "done"
     assert {argument for argument, future in outcomes.items() if future.exception()} == {2}
     assert isinstance(outcomes[2].exception(), ClusterError)
-    assert f"{MAX_DEATHS} workers died of it" in str(outcomes[2].exception())
+    assert f"{MAX_DEATHS} workers died of it. Most often memory ran out" in str(outcomes[2].exception())
+
+
+def test_more_processes_than_memory_holds_are_not_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "available_memory_mib", lambda processes: 1000 / processes)
+    with pytest.raises(
+        OutOfMemoryError, match=r"Each worker of --executor 40 takes 50 MiB .* 25 MiB are left for each"
+    ):
+        open_workers("40")
 
 
 class _Counting(InThisProcess):

@@ -24,7 +24,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.system.bars import ANNOUNCES
 from xfreqbench.system.cluster import SCHEME, dask_workers, lost_workers
-from xfreqbench.system.machine import safe_path
+from xfreqbench.system.machine import require_memory, safe_path
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
@@ -32,6 +32,7 @@ Cores = frozenset[int]
 SERIAL = "serial"
 MAX_DEATHS = 4  # processes that may die of one call; Dask allows as many workers by default
 _SPAWN = multiprocessing.get_context("spawn")  # a fork of this process would inherit its threads and locks
+_LEAST_MIB = 50  # of memory that a process shares with no other once it has imported the toolkit
 _INTERRUPT = {signal.SIGINT}
 _THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
@@ -59,13 +60,14 @@ def open_workers(
 ) -> AbstractContextManager[Workers]:
     """The workers that `--executor` names: `serial`, a number of processes, or `dask://host:port`.
 
-    `is_fresh` and `imports` are those of `LocalProcesses`. Raises `XFreqBenchError` for any other text, and what
-    `xfreqbench.system.cluster.dask_workers` raises.
+    `is_fresh` and `imports` are those of `LocalProcesses`. Raises `XFreqBenchError` for any other text and for more
+    processes than memory can hold, and what `xfreqbench.system.cluster.dask_workers` raises.
     """
     require_executor(executor)
     if executor == SERIAL:
         return nullcontext(HERE)
     if executor.isdecimal():
+        require_memory(_LEAST_MIB, f"Each worker of --executor {executor}", int(executor))
         return LocalProcesses(split_cores(int(executor)), is_fresh=is_fresh, imports=imports)
     return dask_workers(executor)
 
