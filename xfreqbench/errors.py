@@ -14,7 +14,7 @@ XFreqBenchError            any of these; its message says what was given, what i
 ├── RunsFailedError        some of several runs failed; it holds the error of each
 ├── StorageError           the output cannot be written: no space, no permission, or a folder in its place
 │   └── InUseError         another process is writing it
-├── OutOfMemoryError       memory ran out, or what is asked for takes more than is left; a `MemoryError` too
+├── OutOfMemoryError       memory ran out, or what is asked for takes more than is left
 ├── ClusterError           workers cannot be reached, differ from this process, or end while they work
 └── MissingLLVMError       there is no LLVM library that Dr.Jit can use
 """
@@ -22,7 +22,6 @@ XFreqBenchError            any of these; its message says what was given, what i
 from __future__ import annotations
 
 import difflib
-import errno
 import re
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -43,7 +42,7 @@ def was_interrupted(error: BaseException | None) -> bool:
     return error is not None
 
 
-class OutOfMemoryError(XFreqBenchError, MemoryError):
+class OutOfMemoryError(XFreqBenchError):
     """Memory ran out, or what is asked for takes more than is left."""
 
 
@@ -61,7 +60,7 @@ def ran_out_of_memory(error: BaseException | None) -> bool:
     """
     while error is not None:
         words = " ".join(text for text in error.args if isinstance(text, str))  # its own text may be anybody's code
-        if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM or _NO_MEMORY.search(words):
+        if isinstance(error, MemoryError | OutOfMemoryError) or _NO_MEMORY.search(words):
             return True
         error = error.__cause__ or error.__context__
     return False

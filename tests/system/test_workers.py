@@ -168,6 +168,11 @@ def test_a_call_whose_process_dies_is_made_again_and_one_that_processes_die_of_i
     assert f"{MAX_DEATHS} workers died of it. Most often memory ran out" in str(outcomes[2].exception())
 
 
+def test_ctrl_c_reaches_the_parent_alone() -> None:
+    with LocalProcesses(own_cores()[:1]) as workers:
+        assert workers.submit(signal.getsignal, signal.SIGINT).result() is signal.SIG_IGN
+
+
 def test_more_processes_than_memory_holds_are_not_started(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "available_memory_mib", lambda processes: 1000 / processes)
     with pytest.raises(

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -222,7 +222,8 @@ class _Place:
 
     def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
         """Have the process of this place make a call; it is started if there is none."""
-        with safe_path():  # making an executor starts a process, too: multiprocessing's tracker of semaphores
+        # making an executor starts a process, too: multiprocessing's tracker of semaphores
+        with safe_path(), _interruptions_blocked():
             if self._process is None:
                 environment = dict(os.environ) | ({} if self.is_first else {ANNOUNCES: "0"})
                 self._process = ProcessPoolExecutor(1, self.context, self.settle, (environment,))
@@ -268,18 +269,27 @@ def _forking(places: Sequence[Cores], imports: tuple[str, ...]) -> BaseContext |
     context = multiprocessing.get_context("forkserver")
     if _forks is None:
         context.set_forkserver_preload(list(imports))
-        cores, mask = os.sched_getaffinity(0), signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPT)  # of this thread
+        cores = os.sched_getaffinity(0)  # of this thread
         try:
             os.sched_setaffinity(0, places[0])
-            with safe_path():
+            with safe_path(), _interruptions_blocked():
                 forkserver.ensure_running()
             _forks = size, imports
         except OSError:  # no socket can be made in the folder of temporary files, as where its name is too long
             _forks = 0, ()
         finally:
             os.sched_setaffinity(0, cores)
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     return context if _forks[0] == size and set(imports) <= set(_forks[1]) else None
+
+
+@contextmanager
+def _interruptions_blocked() -> Iterator[None]:
+    """A block in which processes are started that Ctrl-C does not reach before they are settled."""
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPT)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _make_settled(call: Callable[[Argument], object], argument: Argument) -> None:
@@ -290,8 +300,8 @@ def _make_settled(call: Callable[[Argument], object], argument: Argument) -> Non
 def _settle(place: Cores, is_alone: bool, environment: Mapping[str, str]) -> None:
     """Keep this process to its cores, and let it end with its parent, even if the parent is killed."""
     os.environ.update(environment)  # that of a fork is as old as the process it was forked off
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPT)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, which ends this process without a traceback
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPT)
     if place:
         os.sched_setaffinity(0, place)
     elif not is_alone:  # macOS cannot keep a process to a core; one thread comes nearest to it
