@@ -53,10 +53,9 @@ def main() -> None:
                 app.resolved_commands()  # imports plug-ins, so that help describes their commands
             app()
         sys.stdout.flush()
-    except (StorageError, RunsFailedError) as error:  # of several runs, one may have found no space
-        _leave(f"xfreqbench: {error}", 2)  # at an ordinary exit HDF5 would write the failed file again, and crash
-    except OutOfMemoryError as error:
-        _leave(f"xfreqbench: {error}", 1)
+    except (StorageError, RunsFailedError, OutOfMemoryError) as error:  # of several runs, one may have found no space
+        # at an ordinary exit HDF5 would write the failed file again, and crash
+        _leave(f"xfreqbench: {error}", 1 if isinstance(error, OutOfMemoryError) else 2)
     except XFreqBenchError as error:
         print(f"xfreqbench: {error}", file=sys.stderr)
         sys.exit(2)
@@ -92,9 +91,7 @@ def interruptions_kept() -> Iterator[None]:
         raise KeyboardInterrupt
 
     def look_after() -> None:
-        timer = threading.Timer(_MOMENT_S, press_again)  # here it would be lost again
-        timer.daemon = True
-        timer.start()
+        threading.Timer(_MOMENT_S, press_again).start()  # here it would be lost again
 
     def press_again() -> None:
         raised = sys._current_exceptions()[main_thread]

@@ -120,9 +120,9 @@ def serve() -> None:
     asked: SimpleQueue[Any] = SimpleQueue()
     threading.Thread(target=_listen, args=(asked,), daemon=True).start()
     while True:
-        _end_after(_IDLE_S)
+        signal.alarm(_IDLE_S)  # ends this process; compilers hold a gigabyte
         module, name, sig = asked.get()
-        _end_after(0)
+        signal.alarm(0)
         getattr(import_module(module), name).compile(sig)
         sys.stdout.buffer.write(b".")
         sys.stdout.buffer.flush()
@@ -134,9 +134,3 @@ def _listen(asked: SimpleQueue[Any]) -> None:
             asked.put(pickle.load(sys.stdin.buffer))
     finally:
         os._exit(1)
-
-
-def _end_after(seconds: int) -> None:
-    """End this process after some seconds, or never for 0; compilers hold a gigabyte."""
-    if hasattr(signal, "alarm"):
-        signal.alarm(seconds)

@@ -17,6 +17,7 @@ from functools import partial
 from itertools import islice
 from multiprocessing import forkserver
 from multiprocessing.context import BaseContext
+from pathlib import Path
 from queue import SimpleQueue
 from types import TracebackType
 from typing import Any, Protocol, TypeVar, runtime_checkable
@@ -302,6 +303,8 @@ def _settle(place: Cores, is_alone: bool, environment: Mapping[str, str]) -> Non
     os.environ.update(environment)  # that of a fork is as old as the process it was forked off
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, which ends this process without a traceback
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPT)
+    with suppress(OSError):  # on Linux, where memory runs out, it ends and not its parent, which says so
+        Path("/proc/self/oom_score_adj").write_text("1000", encoding="utf-8")
     if place:
         os.sched_setaffinity(0, place)
     elif not is_alone:  # macOS cannot keep a process to a core; one thread comes nearest to it
