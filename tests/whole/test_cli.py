@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import _imp
 import ctypes
 import errno
 import functools
@@ -12,7 +13,9 @@ import subprocess
 import sys
 import threading
 import time
+from importlib.machinery import ExtensionFileLoader
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from cyclopts import App
@@ -215,6 +218,21 @@ def test_an_interruption_that_a_library_drops_counts() -> None:
         assert not ctypes.pythonapi.PyObject_HasAttrString(ctypes.py_object(Lazy()), b"polynomial")
         threading.Event().wait()
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_an_interruption_waits_until_a_compiled_module_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Matplotlib's and Numba's, cut in two, made of it an `ImportError`, and an abort at the interpreter's exit."""
+    done = []
+
+    def initialise(module: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+        done.append("whole")
+
+    monkeypatch.setattr(_imp, "exec_dynamic", initialise)
+    with pytest.raises(KeyboardInterrupt), interruptions_kept():
+        ExtensionFileLoader("compiled", "compiled.so").exec_module(ModuleType("compiled"))
+        threading.Event().wait()
+    assert done == ["whole"]
 
 
 def test_an_interruption_that_counts_is_raised_once() -> None:

@@ -10,6 +10,8 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.machinery import ExtensionFileLoader
+from types import FrameType
 from typing import NoReturn
 
 from xfreqbench.cli import data, exchange, measure, runs
@@ -29,6 +31,7 @@ from xfreqbench.system.machine import memory_left, require_memory, require_threa
 __all__ = ["app", "data", "exchange", "main", "measure", "runs"]  # importing a file adds its commands
 _WIDTHS = 20, 1000  # columns of text: narrower, a help text never ends; wider, it fills the memory
 _MOMENT_S = 0.01
+_LOADING = ExtensionFileLoader.create_module.__code__, ExtensionFileLoader.exec_module.__code__
 _LEAST_MIB = 200  # with less, OpenBLAS and LLVM end the process, or wait for ever, where they are loaded
 _IGNORED = add_plugin_commands(app)  # after the commands of our own
 
@@ -81,14 +84,18 @@ def main() -> None:
 def interruptions_kept() -> Iterator[None]:
     """Let Ctrl-C count where Python or a library drops it: in the garbage collector, or while C looks for an attribute.
 
-    It is raised once more unless the main thread is ending because of it.
+    It is raised once more unless the main thread is ending because of it, and waits until a compiled module is
+    imported: one that is initialised halfway crashes the interpreter later, at its exit at the latest.
     """
     others, main_thread = sys.unraisablehook, threading.get_ident()
     is_ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # in a shell's background it is ignored
 
-    def press(number: int, frame: object) -> None:
+    def press(number: int, frame: FrameType | None) -> None:
         look_after()
-        raise KeyboardInterrupt
+        while frame and frame.f_code not in _LOADING:
+            frame = frame.f_back
+        if not frame:
+            raise KeyboardInterrupt
 
     def look_after() -> None:
         threading.Timer(_MOMENT_S, press_again).start()  # here it would be lost again
