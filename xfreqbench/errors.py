@@ -14,6 +14,7 @@ XFreqBenchError            any of these; its message says what was given, what i
 ├── RunsFailedError        some of several runs failed; it holds the error of each
 ├── StorageError           a file cannot be written or read: no space, no permission, no memory, a failing disk
 │   └── InUseError         another process is writing it
+├── OutOfMemoryError       memory ran out, or what is asked for takes more than is left
 ├── ClusterError           workers cannot be reached, differ from this process, or end while they work
 └── MissingLLVMError       there is no LLVM library that Dr.Jit can use
 """
@@ -21,6 +22,7 @@ XFreqBenchError            any of these; its message says what was given, what i
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -38,6 +40,30 @@ def was_interrupted(error: BaseException | None) -> bool:
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
+
+
+class OutOfMemoryError(XFreqBenchError):
+    """Memory ran out, or what is asked for takes more than is left."""
+
+
+_NO_MEMORY = re.compile(
+    "not enough memory|out of memory|(can.?not|can't|unable to|could not) allocate|allocation failed"
+    "|failed to map segment|can't start new thread|return without exception set",
+    re.IGNORECASE,
+)
+
+
+def ran_out_of_memory(error: BaseException | None) -> bool:
+    """Whether memory ran out, which libraries say by types of their own and in words; or it was raised because of that.
+
+    Threads that cannot be started, and libraries that cannot be loaded for want of memory, count.
+    """
+    while error is not None:
+        words = " ".join(text for text in error.args if isinstance(text, str))  # its own text may be anybody's code
+        if isinstance(error, MemoryError | OutOfMemoryError) or _NO_MEMORY.search(words):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 _OTHER_WORDS = {  # what others say, and the name of it here

@@ -12,15 +12,15 @@ import pytest
 
 from tests.support.furnished_room import GRID, RECEIVER, plate, write_meshes
 from tests.support.plans import CARRIERS_HZ, SETTINGS, small_plan
-from xfreqbench.data import plan as planning
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.data.trace import forget_rays, traced_alike
-from xfreqbench.errors import MaterialBandError, PlacementError, SceneError, UnknownNameError, XFreqBenchError
+from xfreqbench.errors import MaterialBandError, OutOfMemoryError, PlacementError, UnknownNameError, XFreqBenchError
 from xfreqbench.scene import facets, prepared
 from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.system import machine
 from xfreqbench.system.cluster import UnfitWorkerError
-from xfreqbench.tracing.tracer import TraceSettings
+from xfreqbench.tracing.tracer import SolverName, TraceSettings
 
 
 @pytest.mark.parametrize(
@@ -103,10 +103,16 @@ def test_a_worker_that_finds_other_meshes_or_software_leaves_the_work_to_others(
         traced_alike(told, plan.header.software, batch)
 
 
-def test_a_scene_that_does_not_fit_into_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planning, "available_memory_mib", lambda: 0.01)
-    with pytest.raises(SceneError, match=r"triangles, which take 0\.\d+ MiB to trace, but 0\.01 MiB are left"):
-        plan_generation(load_scene("office"), CARRIERS_HZ)
+@pytest.mark.parametrize(
+    ("solver", "left_mib", "needed"), [("image", 0.01, "0"), ("sionna", 50, "143"), ("sionna", 100, "143")]
+)
+def test_what_does_not_fit_into_memory_is_refused(
+    solver: SolverName, left_mib: float, needed: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(machine, "available_memory_mib", lambda processes: left_mib)
+    words = rf"triangles of scene 'office' with 500,000 rays takes {needed} MiB of memory at least. .*simpler meshes"
+    with pytest.raises(OutOfMemoryError, match=words):
+        plan_generation(load_scene("office"), CARRIERS_HZ, TraceSettings(solver))
 
 
 def test_a_plan_replaces_auto_and_orders_the_carriers() -> None:

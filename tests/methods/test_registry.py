@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.packages import install
-from xfreqbench.errors import MethodError
+from xfreqbench.errors import MethodError, OutOfMemoryError
 from xfreqbench.methods.registry import (
     build_method,
     code_sha256,
@@ -109,6 +109,13 @@ class Method(Short):
 def test_an_interruption_while_a_method_is_imported_stays_one(own_module: Callable[[str], str]) -> None:
     with pytest.raises(KeyboardInterrupt):
         resolve_method(f"{own_module('raise KeyboardInterrupt')}:Method")
+
+
+@pytest.mark.parametrize("raised", ["MemoryError", "ImportError('libtorch.so: cannot allocate memory')"])
+def test_a_method_that_lacks_memory_is_not_to_be_installed(raised: str, own_module: Callable[[str], str]) -> None:
+    with pytest.raises(OutOfMemoryError, match=r"cannot be imported: .* Memory ran out. [\d,]+ MiB are left.") as found:
+        resolve_method(f"{own_module(f'raise {raised}')}:Method")
+    assert "Install" not in str(found.value)
 
 
 def test_methods_are_listed_without_the_code_of_a_plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

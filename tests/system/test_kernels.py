@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
+from subprocess import DEVNULL
 
 import pytest
 
+from tests.support.places import ROOT
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.system import caches, kernels
 
@@ -92,3 +95,37 @@ def test_caches_are_put_elsewhere_where_those_that_are_named_cannot_be_written(
     assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path / "own" / "numba")
     assert os.environ["MPLCONFIGDIR"] == str(tmp_path)
     assert caches.data_folder() == tmp_path / "own" / "data"
+
+
+ENDLESS = """
+import pathlib, threading
+
+class kernel:
+    def compile(sig):
+        pathlib.Path("compiling").touch()
+        threading.Event().wait()
+"""
+
+
+def test_the_compiler_ends_with_who_asks_even_while_it_compiles(tmp_path: Path) -> None:
+    """Otherwise it goes on for a minute after Ctrl-C."""
+    (tmp_path / "endless.py").write_text(ENDLESS)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
+    command = [sys.executable, "-c", kernels._SERVE]
+    with subprocess.Popen(command, cwd=tmp_path, env=environment, stdin=subprocess.PIPE, stderr=DEVNULL) as compiler:
+        assert compiler.stdin
+        compiler.stdin.write(pickle.dumps(("endless", "kernel", ())))
+        compiler.stdin.flush()
+        while not (tmp_path / "compiling").exists():
+            assert compiler.poll() is None
+        compiler.stdin.close()
+        assert compiler.wait() == 1
+
+
+@pytest.mark.parametrize("death", ["os.abort()", "os.kill(os.getpid(), 9)"])
+def test_a_compiler_that_dies_as_without_memory_is_not_followed(death: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """LLVM would end this process too."""
+    monkeypatch.setattr(kernels, "_SERVE", f"import os; {death}")
+    monkeypatch.setattr(kernels, "_compilers", {})
+    with pytest.raises(MemoryError, match="the process that compiles kernels died"):
+        kernels._compile_beside("module", "name", ())

@@ -13,7 +13,8 @@ from queue import SimpleQueue
 import pytest
 
 from tests.support.places import ROOT
-from xfreqbench.errors import ClusterError, XFreqBenchError
+from xfreqbench.errors import ClusterError, OutOfMemoryError, XFreqBenchError
+from xfreqbench.system import machine
 from xfreqbench.system.workers import (
     MAX_DEATHS,
     InThisProcess,
@@ -181,7 +182,27 @@ def test_a_call_whose_process_dies_is_made_again_and_one_that_processes_die_of_i
     assert future.result() == "done"
     assert {argument for argument, future in outcomes.items() if future.exception()} == {2}
     assert isinstance(outcomes[2].exception(), ClusterError)
-    assert f"{MAX_DEATHS} workers died of it" in str(outcomes[2].exception())
+    assert f"{MAX_DEATHS} workers died of it. Most often memory ran out" in str(outcomes[2].exception())
+
+
+def test_ctrl_c_reaches_the_parent_alone() -> None:
+    with LocalProcesses(own_cores()[:1]) as workers:
+        assert workers.submit(signal.getsignal, signal.SIGINT).result() is signal.SIG_IGN
+
+
+@pytest.mark.skipif(not Path("/proc/self/oom_score_adj").exists(), reason="the system is not Linux")
+def test_where_memory_runs_out_a_worker_is_killed_and_not_the_process_that_says_so() -> None:
+    score = Path("/proc/self/oom_score_adj")
+    with LocalProcesses(own_cores()[:1]) as workers:
+        assert int(workers.submit(Path.read_text, score).result()) > int(score.read_text(encoding="utf-8"))
+
+
+def test_more_processes_than_memory_holds_are_not_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "available_memory_mib", lambda processes: 1000 / processes)
+    with pytest.raises(
+        OutOfMemoryError, match=r"Each worker of --executor 40 takes 50 MiB .* 25 MiB are left for each"
+    ):
+        open_workers("40")
 
 
 class _Counting(InThisProcess):

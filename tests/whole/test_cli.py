@@ -1,17 +1,27 @@
 from __future__ import annotations
 
+import _imp
+import ctypes
+import errno
 import functools
 import json
+import re
+import resource
 import shlex
+import signal
 import subprocess
 import sys
+import threading
 import time
+from importlib.machinery import ExtensionFileLoader
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from cyclopts import App
 
 from tests.support.fuzzing.common import xfreqbench
+from tests.support.places import ROOT
 from xfreqbench.cli import main as cli
 from xfreqbench.cli.main import app, interruptions_kept
 from xfreqbench.cli.options import parse_carriers_hz
@@ -207,21 +217,112 @@ def test_an_interruption_in_a_callback_of_the_garbage_collector_counts() -> None
             time.sleep(0.001)
 
 
+def test_an_interruption_that_a_library_drops_counts() -> None:
+    """C asks whether there is an attribute, and forgets whatever was raised, as while NumPy imports a part of it."""
+
+    class Lazy:
+        def __getattr__(self, name: str) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), interruptions_kept():
+        assert not ctypes.pythonapi.PyObject_HasAttrString(ctypes.py_object(Lazy()), b"polynomial")
+        threading.Event().wait()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_an_interruption_waits_until_a_compiled_module_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Matplotlib's and Numba's, cut in two, made of it an `ImportError`, and an abort at the interpreter's exit."""
+    done = []
+
+    def initialise(module: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+        done.append("whole")
+
+    monkeypatch.setattr(_imp, "exec_dynamic", initialise)
+    with pytest.raises(KeyboardInterrupt), interruptions_kept():
+        ExtensionFileLoader("compiled", "compiled.so").exec_module(ModuleType("compiled"))
+        threading.Event().wait()
+    assert done == ["whole"]
+
+
+def test_an_interruption_that_counts_is_raised_once() -> None:
+    raised = []
+    with pytest.raises(KeyboardInterrupt), interruptions_kept():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        finally:
+            while any(isinstance(thread, threading.Timer) for thread in threading.enumerate()):
+                raised.append("no other")
+    assert raised
+
+
 @pytest.mark.parametrize("kind", [SystemError, RuntimeError])
-def test_an_interrupted_kernel_is_an_interruption(
-    kind: type[Exception], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_interrupted_kernel_is_an_interruption(kind: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
     """Numba and Dr.Jit raise errors of their own where Ctrl-C meets them."""
 
     def interrupted() -> None:
         raise kind("encountered an exception (see above)") from KeyboardInterrupt()
 
-    monkeypatch.setattr(sys, "argv", ["xfreqbench", "scenes"])
     monkeypatch.setattr(cli, "app", interrupted)
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 130
-    assert "the same command goes on" in capsys.readouterr().err
+    ended = xfreqbench("scenes")  # which would end the tests, if it were not for `os._exit` in its place
+    assert ended.code == 130
+    assert ended.stderr == "\nxfreqbench: interrupted; the same command goes on where it stopped.\n"
+
+
+ENDS_AT_ONCE = """
+import atexit, os, sys, threading
+from xfreqbench.cli import main as cli
+atexit.register(print, "what libraries do at an ordinary exit")
+threading.Thread(target=threading.Event().wait).start()  # one that traces, and may not be waited for
+
+def interrupted():
+    print("so far")
+    raise KeyboardInterrupt
+
+cli.app, sys.argv = interrupted, ["xfreqbench", "scenes"]
+cli.main()
+"""
+
+
+def test_an_interrupted_command_ends_without_the_interpreters_exit() -> None:
+    """There, LLVM and HDF5 free what threads are still using, and crash."""
+    ended = subprocess.run([sys.executable, "-c", ENDS_AT_ONCE], capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout) == (130, "so far\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError("Unable to allocate 8 GiB for an array"), "Unable to allocate 8 GiB for an array"),
+        (MemoryError(), "MemoryError"),
+        (OSError(errno.ENOMEM, "Cannot allocate memory"), "[Errno 12] Cannot allocate memory"),
+        (RuntimeError("can't start new thread"), "can't start new thread"),
+    ],
+)
+def test_where_memory_runs_out_a_line_says_so(error: Exception, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def run() -> None:
+        raise error
+
+    monkeypatch.setattr(cli, "app", run)
+    ended = xfreqbench("scenes")
+    assert ended.code == 1
+    assert ended.stderr.startswith(f"xfreqbench: memory ran out: {said}. ")
+    assert re.search(r" [\d,]+ MiB are left. Close other programs.*fewer workers", ended.stderr)
+    assert ended.stderr.count("\n") == 1
+
+
+def test_what_needs_more_memory_than_there_is_is_refused_before_it_starts(tmp_path: Path) -> None:
+    """With 150 MB of data, OpenBLAS waited for ever for its memory where SciPy was imported."""
+    limit = 150 << 20
+
+    def bounded() -> None:
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+
+    command = [Path(sys.executable).with_name("xfreqbench"), "info", "scenes/office.h5"]
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, preexec_fn=bounded)
+    assert ended.returncode == 1
+    assert re.match(r"xfreqbench: This command takes 200 MiB of memory at least. 1\d\d MiB are left. ", ended.stderr)
 
 
 REFUSE_ALL = f"""

@@ -2,30 +2,45 @@
 
 from __future__ import annotations
 
-import _thread
 import io
 import os
 import shutil
+import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.machinery import ExtensionFileLoader
+from types import FrameType
+from typing import NoReturn
 
 from xfreqbench.cli import data, exchange, measure, runs
 from xfreqbench.cli.options import app
 from xfreqbench.cli.plugins import add_plugin_commands
-from xfreqbench.errors import RunsFailedError, StorageError, XFreqBenchError, was_interrupted
+from xfreqbench.errors import (
+    OutOfMemoryError,
+    RunsFailedError,
+    StorageError,
+    XFreqBenchError,
+    ran_out_of_memory,
+    was_interrupted,
+)
 from xfreqbench.system.bars import announcing
-from xfreqbench.system.machine import now, require_thread_count, require_working_folder
+from xfreqbench.system.machine import memory_left, now, require_memory, require_thread_count, require_working_folder
 
 __all__ = ["app", "data", "exchange", "main", "measure", "runs"]  # importing a file adds its commands
 _WIDTHS = 20, 1000  # columns of text: narrower, a help text never ends; wider, it fills the memory
 _MOMENT_S = 0.01
+_LOADING = ExtensionFileLoader.create_module.__code__, ExtensionFileLoader.exec_module.__code__
+_LEAST_MIB = 200  # with less, OpenBLAS and LLVM end the process, or wait for ever, where they are loaded
 _IGNORED = add_plugin_commands(app)  # after the commands of our own
 
 
 def main() -> None:
-    """Run the command line; ends with exit code 2 for an error that a user can fix, 130 for an interrupted command."""
+    """Run the command line; ends with exit code 2 for an error that a user can fix, 130 for an interrupted command.
+
+    It is 1 where memory runs out, and where the program that reads the output has ended.
+    """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # the name of a file need not be valid text
     _bound_console_width()
@@ -36,34 +51,34 @@ def main() -> None:
         require_working_folder()
         require_thread_count()
         now()  # which no clock may make impossible once the work is done
+        require_memory(_LEAST_MIB, "This command")
         with interruptions_kept(), announcing(not {"--quiet", "-q"} & {*sys.argv}):
             if sys.argv[1:2] in ([], ["--help"], ["-h"]):
                 app.resolved_commands()  # imports plug-ins, so that help describes their commands
             app()
         sys.stdout.flush()
-    except (StorageError, RunsFailedError) as error:  # of several runs, one may have found no space
-        print(f"xfreqbench: {_shown(error)}", file=sys.stderr, flush=True)
-        os._exit(2)  # at an ordinary exit HDF5 would write the failed file again, and crash
+    except (StorageError, RunsFailedError, OutOfMemoryError) as error:  # of several runs, one may have found no space
+        # at an ordinary exit HDF5 would write the failed file again, and crash
+        _leave(f"xfreqbench: {_shown(error)}", 1 if isinstance(error, OutOfMemoryError) else 2)
     except XFreqBenchError as error:
         print(f"xfreqbench: {_shown(error)}", file=sys.stderr)
         sys.exit(2)
     except BrokenPipeError:  # the program that reads our output, such as `head`, has read enough
         _discard_output()
         sys.exit(1)
-    except OSError as error:
+    except (Exception, KeyboardInterrupt) as error:
+        if was_interrupted(error):  # Numba and Dr.Jit raise errors of their own where Ctrl-C interrupts a kernel
+            _leave("\nxfreqbench: interrupted; the same command goes on where it stopped.", 130)
+        if ran_out_of_memory(error):
+            said = str(error).partition("\n")[0] or type(error).__name__
+            _leave(f"xfreqbench: memory ran out: {said}. {memory_left()}", 1)
+        if not isinstance(error, OSError) or (error.filename is None and not _is_output_lost()):
+            raise
         fault = f"{error.filename} cannot be used: {error.strerror}. Correct the path or its permissions."
         if error.filename is None:
-            if not _is_output_lost():
-                raise
             fault = f"what is printed cannot be written: {error.strerror}. Free some space, or print elsewhere."
         print(f"xfreqbench: {fault}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
-        _leave_interrupted()
-    except (SystemError, RuntimeError) as error:  # of Numba and Dr.Jit, where Ctrl-C interrupts a kernel
-        if not was_interrupted(error):
-            raise
-        _leave_interrupted()
 
 
 def _shown(error: XFreqBenchError) -> str:
@@ -74,20 +89,42 @@ def _shown(error: XFreqBenchError) -> str:
 
 @contextmanager
 def interruptions_kept() -> Iterator[None]:
-    """Let Ctrl-C count where Python drops it: in a callback of the garbage collector, it would be printed and lost."""
-    others = sys.unraisablehook
+    """Let Ctrl-C count where Python or a library drops it: in the garbage collector, or while C looks for an attribute.
 
-    def press_again(lost: sys.UnraisableHookArgs) -> None:
-        if isinstance(lost.exc_value, KeyboardInterrupt):
-            threading.Timer(_MOMENT_S, _thread.interrupt_main).start()  # here it would be lost again
-        else:
-            others(lost)
+    It is raised once more unless the main thread is ending because of it, and waits until a compiled module is
+    imported: one that is initialised halfway crashes the interpreter later, at its exit at the latest.
+    """
+    others, main_thread = sys.unraisablehook, threading.get_ident()
+    is_ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # in a shell's background it is ignored
 
-    sys.unraisablehook = press_again
+    def press(number: int, frame: FrameType | None) -> None:
+        look_after()
+        while frame and frame.f_code not in _LOADING:
+            frame = frame.f_back
+        if not frame:
+            raise KeyboardInterrupt
+
+    def look_after() -> None:
+        threading.Timer(_MOMENT_S, press_again).start()  # here it would be lost again
+
+    def press_again() -> None:
+        raised = sys._current_exceptions()[main_thread]
+        error = raised[1] if isinstance(raised, tuple) else raised  # with its type and place before Python 3.12
+        if sys.unraisablehook is hook and not was_interrupted(error):
+            signal.pthread_kill(main_thread, signal.SIGINT)  # which wakes it, too
+
+    def hook(lost: sys.UnraisableHookArgs) -> None:
+        look_after() if isinstance(lost.exc_value, KeyboardInterrupt) else others(lost)
+
+    sys.unraisablehook = hook
+    if is_ours:
+        signal.signal(signal.SIGINT, press)
     try:
         yield
     finally:
         sys.unraisablehook = others
+        if is_ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _is_output_lost() -> bool:
@@ -113,6 +150,10 @@ def _bound_console_width() -> None:
         os.environ["COLUMNS"] = str(min(max(width, low), high))
 
 
-def _leave_interrupted() -> None:
-    print("\nxfreqbench: interrupted; the same command goes on where it stopped.", file=sys.stderr)
-    sys.exit(130)
+def _leave(words: str, status: int) -> NoReturn:
+    """Say why, and end without the interpreter's exit, which frees what threads and libraries may still be using."""
+    try:
+        print(words, file=sys.stderr, flush=True)
+        sys.stdout.flush()
+    finally:
+        os._exit(status)

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter
 from xfreqbench.data.recipe import job_of
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.trace import Tracing
-from xfreqbench.errors import SceneError, UnknownNameError, XFreqBenchError
+from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.maps.bartlett import pas_kind_named
 from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
 from xfreqbench.scene.materials import P2040_EDITION, ConstantMaterial, check_dispersion
@@ -36,7 +36,7 @@ from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.rooms import check_closed
 from xfreqbench.scene.visibility import is_closed, sees
 from xfreqbench.system.files import json_sha256
-from xfreqbench.system.machine import available_memory_mib
+from xfreqbench.system.machine import require_memory
 from xfreqbench.system.source import package_sha256
 from xfreqbench.tracing.solvers import resolve_solver
 from xfreqbench.tracing.tracer import TraceSettings
@@ -45,6 +45,7 @@ from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import format_ghz_list
 
 BYTES_PER_TRIANGLE = 800  # at the peak, where solver `image` sorts them; measured in scene `lounge`
+BYTES_PER_RAY = 300  # of solver `sionna`, at the peak
 BATCH = 16  # transmitters a batch: the most that a killed process has to trace again
 
 
@@ -215,7 +216,11 @@ def plan_generation(
     pairs = _pairs(polarizations)
     scene, geometry = _with_receivers(prepared.scene, receivers), prepared.geometry
     scene = scene.with_polarization(pairs[0]) if pairs else scene
-    _require_memory(scene, geometry)
+    rays = settings.rays if settings.solver == "sionna" else 0
+    require_memory(
+        (geometry.num_triangles * BYTES_PER_TRIANGLE + rays * BYTES_PER_RAY) / 2**20,
+        f"To trace the {geometry.num_triangles:,} triangles of scene {scene.name!r} with {settings.rays:,} rays",
+    )
     settings = resolve_solver(geometry, settings)
     if paths and settings.solver == "sionna" and "diffuse" in settings.named_interactions:
         raise XFreqBenchError(
@@ -269,17 +274,6 @@ def _pairs(polarizations: Sequence[str] | None) -> tuple[PolarizationPair, ...]:
         if name not in POLARIZATION_PAIRS:
             raise UnknownNameError("pair of polarizations", name, POLARIZATION_PAIRS)
     return cast("tuple[PolarizationPair, ...]", names)
-
-
-def _require_memory(scene: Scene, geometry: Geometry) -> None:
-    """Raise `SceneError` where the scene's triangles do not fit into the memory that is left."""
-    needed_mib, left_mib = geometry.num_triangles * BYTES_PER_TRIANGLE / 2**20, available_memory_mib()
-    if needed_mib > left_mib:
-        raise SceneError(
-            f"Scene {scene.name!r} has {geometry.num_triangles:,} triangles, which take {needed_mib:,.2f} MiB to "
-            f"trace, but {left_mib:,.2f} MiB are left. Simplify its meshes, for instance by decimating round "
-            "furniture in Blender, or close other programs."
-        )
 
 
 def _checked_carriers(carrier_hz: Sequence[float]) -> list[float]:

@@ -14,7 +14,8 @@ from typing import Any
 
 from pydantic_core import from_json
 
-from xfreqbench.errors import MethodError, XFreqBenchError, was_interrupted
+from xfreqbench.errors import MethodError, OutOfMemoryError, XFreqBenchError, ran_out_of_memory, was_interrupted
+from xfreqbench.system.machine import memory_left
 
 _MOST_SHOWN = 2000  # characters of a message
 _IMPORTING = Path(importlib.__file__).parent
@@ -27,9 +28,9 @@ def method_code(
     """A block that runs a method's own code, in which whatever it raises becomes a `MethodError`.
 
     `SystemExit` is an error too, for a method may not end the process. The message begins with `failed`, such as
-    "Method 'mine' failed in fit:", and ends with `advice`. Errors of the types `passed` are raised as they are, and an
-    interruption as `KeyboardInterrupt`. A child that the method forked and that comes back out of its code ends here:
-    the parent alone goes on, so that nothing is stored twice.
+    "Method 'mine' failed in fit:", and ends with `advice`. Errors of the types `passed` are raised as they are, an
+    interruption as `KeyboardInterrupt`, and a lack of memory as `OutOfMemoryError`. A child that the method forked and
+    that comes back out of its code ends here: the parent alone goes on, so that nothing is stored twice.
     """
     process = os.getpid()
     try:
@@ -39,6 +40,8 @@ def method_code(
     except BaseException as error:
         if was_interrupted(error):
             raise KeyboardInterrupt from error
+        if ran_out_of_memory(error):
+            raise OutOfMemoryError(f"{failed} {described(error)}. Memory ran out. {memory_left()}") from error
         raise MethodError(f"{failed} {described(error)}. {advice}".rstrip()) from error
     finally:
         if os.getpid() != process:

@@ -246,8 +246,8 @@ def _require_workers(client: Any, address: str) -> None:
 def lost_workers(number: int, where: str = "") -> str:
     """Words for a call that ended because `number` workers died of it."""
     return (
-        f"{number} workers died of it{where}. Most often memory is what ran out: look into the worker's log, and "
-        "give each worker more of it."
+        f"{number} workers died of it{where}. Most often memory ran out: have fewer workers, or allow each of them "
+        "more. A cluster's workers have a log that says why."
     )
 
 

@@ -13,10 +13,12 @@ import pickle
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, TypeVar
 
 import numba
@@ -71,7 +73,10 @@ class _Cache(FunctionCache):
 
 
 def _compile_beside(module: str, name: str, sig: Any) -> bool:
-    """Have this process's compiler compile a kernel for types of arguments; return whether it did."""
+    """Have this process's compiler compile a kernel for types of arguments; return whether it did.
+
+    Raises `MemoryError` where the compiler is killed, or aborts as LLVM does without memory: so would this process.
+    """
     if _IS_COMPILER in os.environ:
         return False
     announce_compilation()
@@ -86,6 +91,8 @@ def _compile_beside(module: str, name: str, sig: Any) -> bool:
             if compiler.stdout.read(1):
                 _compilers[os.getpid()] = compiler
                 return True
+            if compiler.wait() in (-6, -9):  # by SIGABRT, SIGKILL
+                raise MemoryError("the process that compiles kernels died")
     return False
 
 
@@ -110,24 +117,25 @@ def _end(compiler: Any) -> None:
 
 
 def serve() -> None:
-    """Compile into the cache what is asked for on standard input, until it ends, or nothing is for a while.
+    """Compile into the cache what is asked for on standard input, until nothing is for a while.
 
-    What fails to compile ends this process.
+    What fails to compile ends this process, and so does the end of the process that asks, even while it compiles.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends who asks
+    asked: SimpleQueue[Any] = SimpleQueue()
+    threading.Thread(target=_listen, args=(asked,), daemon=True).start()
     while True:
-        _end_after(_IDLE_S)
-        try:
-            module, name, sig = pickle.load(sys.stdin.buffer)
-        except EOFError:
-            return
-        _end_after(0)
+        signal.alarm(_IDLE_S)  # ends this process; compilers hold a gigabyte
+        module, name, sig = asked.get()
+        signal.alarm(0)
         getattr(import_module(module), name).compile(sig)
         sys.stdout.buffer.write(b".")
         sys.stdout.buffer.flush()
 
 
-def _end_after(seconds: int) -> None:
-    """End this process after some seconds, or never for 0; compilers hold a gigabyte."""
-    if hasattr(signal, "alarm"):
-        signal.alarm(seconds)
+def _listen(asked: SimpleQueue[Any]) -> None:
+    try:
+        while True:
+            asked.put(pickle.load(sys.stdin.buffer))
+    finally:
+        os._exit(1)

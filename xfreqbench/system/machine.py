@@ -1,4 +1,4 @@
-"""What a run is made with: threads, processor, peak memory, versions of libraries, and commit of the source code."""
+"""What a run is made with: threads, processor, memory, versions of libraries, and commit of the source code."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import platform
 import subprocess
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from datetime import datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -16,10 +16,11 @@ from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
-from xfreqbench.errors import XFreqBenchError
+from xfreqbench.errors import OutOfMemoryError, XFreqBenchError
 
 _STATUS = Path("/proc/self/status")
 _MEMORY = Path("/proc/meminfo")
+_GROUPS, _LIMITS_OF_GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 _GPUS = Path("/proc/driver/nvidia/gpus")
 _CLEAR_REFS = Path("/proc/self/clear_refs")
 _THREADS, _MOST_THREADS = "NUMBA_NUM_THREADS", 1024  # with many more the system refuses to start them
@@ -94,12 +95,6 @@ def _numeric_libraries() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def one_thread() -> AbstractContextManager[Any]:
-    """A block in which matrix products take one thread: on a busy machine several wait for each other."""
-    limit: AbstractContextManager[Any] = _numeric_libraries().limit(limits=1, user_api="blas")
-    return limit
-
-
 def reset_peak_memory() -> None:
     """Start a new measurement of peak memory, on Linux; elsewhere the peak stays that since the process began."""
     try:
@@ -114,7 +109,7 @@ def peak_memory_mib() -> float:
     Of a process that was forked off another one it holds, too, what that one had imported.
     """
     try:
-        return int(_stated(_STATUS, "VmHWM")[0].split()[0]) / 1024
+        return _stated_bytes(_STATUS, "VmHWM") / 2**20
     except (OSError, IndexError):
         import resource  # which Windows lacks
 
@@ -122,12 +117,52 @@ def peak_memory_mib() -> float:
         return peak / (1 << 20 if platform.system() == "Darwin" else 1 << 10)  # macOS counts bytes
 
 
-def available_memory_mib() -> float:
-    """Memory that a program could still take without the system swapping, in MiB; infinite where nothing tells."""
-    try:
-        return int(_stated(_MEMORY, "MemAvailable")[0].split()[0]) / 1024
-    except (OSError, IndexError):
-        return float("inf")
+def available_memory_mib(processes: int = 1) -> float:
+    """Memory in MiB that this process can still take without the system swapping; infinite where nothing tells.
+
+    On Linux it is the least that the system, control groups (of a container or a batch job) and `ulimit` leave. For
+    several processes that will be started, it is what the first two leave for each.
+    """
+    shared, own = [float("inf"), *_left_in_groups()], [float("inf")]
+    with suppress(OSError, IndexError):
+        shared.append(_stated_bytes(_MEMORY, "MemAvailable"))
+    with suppress(OSError, IndexError, ImportError):
+        import resource  # which Windows lacks
+
+        for limit, used in ((resource.RLIMIT_AS, "VmSize"), (resource.RLIMIT_DATA, "VmData")):
+            if (most := resource.getrlimit(limit)[0]) != resource.RLIM_INFINITY:
+                own.append(most - _stated_bytes(_STATUS, used))
+    return max(0.0, (min(shared) / processes if processes > 1 else min(*shared, *own)) / 2**20)
+
+
+def _left_in_groups() -> Iterator[float]:
+    """Bytes that are left in each control group of this process, of either version, which limits memory."""
+    with suppress(OSError):
+        for line in _GROUPS.read_text(encoding="utf-8").splitlines():
+            _, controllers, path = line.split(":", 2)
+            if "memory" in controllers.split(","):
+                root, limit, used = _LIMITS_OF_GROUPS / "memory", "memory.limit_in_bytes", "total_rss"
+            else:
+                root, limit, used = _LIMITS_OF_GROUPS, "memory.max", "anon"
+            for group in (root / path.strip("/"), *(root / path.strip("/")).parents):
+                with suppress(OSError, ValueError, IndexError):  # in a container, it is elsewhere than its name says
+                    most = int((group / limit).read_text(encoding="utf-8"))
+                    yield most - int(_stated(group / "memory.stat", used, " ")[0])
+
+
+def require_memory(least_mib: float, who: str, processes: int = 1) -> None:
+    """Raise `OutOfMemoryError` where `who`, one or each of some processes, takes more memory than is left for it."""
+    if least_mib > available_memory_mib(processes):
+        raise OutOfMemoryError(f"{who} takes {least_mib:,.0f} MiB of memory at least. {memory_left(processes)}")
+
+
+def memory_left(processes: int = 1) -> str:
+    """How much memory is left, and what helps where it is not enough, in words."""
+    return (
+        f"{available_memory_mib(processes):,.0f} MiB are left{' for each' if processes > 1 else ''}. Close other "
+        "programs, raise the limit on memory, or ask for less: fewer workers (--executor); generate: fewer --freqs or "
+        "--rays, simpler meshes; run: --set batch_size=…; report: fewer results."
+    )
 
 
 @cache
@@ -147,10 +182,15 @@ def hardware() -> dict[str, str]:
     return known | limited | ({"gpu": " + ".join(gpus)} if gpus else {})
 
 
-def _stated(path: Path, name: str) -> list[str]:
-    """What the lines of a file say that begin with a name, after the colon."""
+def _stated(path: Path, name: str, separator: str = ":") -> list[str]:
+    """What the lines of a file say that begin with a name, after the separator."""
     lines = path.read_text(encoding="utf-8").splitlines()
-    return [line.partition(":")[2].strip() for line in lines if line.startswith(name)]
+    return [line.partition(separator)[2].strip() for line in lines if line.startswith(name)]
+
+
+def _stated_bytes(path: Path, name: str) -> float:
+    """What such a file says in kilobytes."""
+    return int(_stated(path, name)[0].split()[0]) * 1024
 
 
 @cache

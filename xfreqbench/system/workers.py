@@ -12,13 +12,14 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from multiprocessing import forkserver
 from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
+from pathlib import Path
 from queue import SimpleQueue
 from types import TracebackType
 from typing import Any, Protocol, TypeVar, runtime_checkable
@@ -26,7 +27,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 from xfreqbench.errors import ClusterError, XFreqBenchError
 from xfreqbench.system.bars import ANNOUNCES
 from xfreqbench.system.cluster import SCHEME, dask_workers, lost_workers
-from xfreqbench.system.machine import safe_path
+from xfreqbench.system.machine import require_memory, safe_path
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
@@ -35,6 +36,7 @@ SERIAL = "serial"
 MAX_DEATHS = 4  # processes that may die of one call; Dask allows as many workers by default
 _SPAWN = multiprocessing.get_context("spawn")  # a fork of this process would inherit its threads and locks
 _UNKNOWN_STATUS = 255
+_LEAST_MIB = 50  # of memory that a process shares with no other once it has imported the toolkit
 _INTERRUPT = {signal.SIGINT}
 _THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
@@ -66,13 +68,14 @@ def open_workers(
 ) -> AbstractContextManager[Workers]:
     """The workers that `--executor` names: `serial`, a number of processes, or `dask://host:port`.
 
-    The others are those of `LocalProcesses`. Raises `XFreqBenchError` for any other text, and what
-    `xfreqbench.system.cluster.dask_workers` raises.
+    The others are those of `LocalProcesses`. Raises `XFreqBenchError` for any other text and for more processes than
+    memory can hold, and what `xfreqbench.system.cluster.dask_workers` raises.
     """
     require_executor(executor)
     if executor == SERIAL:
         return nullcontext(HERE)
     if executor.isdecimal():
+        require_memory(_LEAST_MIB, f"Each worker of --executor {executor}", int(executor))
         return LocalProcesses(split_cores(int(executor)), is_fresh=is_fresh, imports=imports, on_message=on_message)
     return dask_workers(executor)
 
@@ -246,7 +249,8 @@ class _Place:
 
     def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
         """Have the process of this place make a call; it is started if there is none."""
-        with safe_path():  # making an executor starts a process, too: multiprocessing's tracker of semaphores
+        # making an executor starts a process, too: multiprocessing's tracker of semaphores
+        with safe_path(), _interruptions_blocked():
             if self._process is not None:
                 return self._process.submit(_flushed, call, argument)
             environment = dict(os.environ) | ({} if self.is_first else {ANNOUNCES: "0"})
@@ -308,17 +312,16 @@ def _forking(places: Sequence[Cores], imports: tuple[str, ...]) -> BaseContext |
     context = multiprocessing.get_context("forkserver")
     if _forks is None:
         context.set_forkserver_preload(list(imports))
-        cores, mask = os.sched_getaffinity(0), signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPT)  # of this thread
+        cores = os.sched_getaffinity(0)  # of this thread
         try:
             os.sched_setaffinity(0, places[0])
-            with safe_path():
+            with safe_path(), _interruptions_blocked():
                 forkserver.ensure_running()
             _forks = size, imports
         except OSError:  # no socket can be made in the folder of temporary files, as where its name is too long
             _forks = 0, ()
         finally:
             os.sched_setaffinity(0, cores)
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     return context if _forks[0] == size and set(imports) <= set(_forks[1]) else None
 
 
@@ -345,6 +348,16 @@ def send_message(*arguments: Any) -> None:
             _messages.send(arguments)
 
 
+@contextmanager
+def _interruptions_blocked() -> Iterator[None]:
+    """A block in which processes are started that Ctrl-C does not reach before they are settled."""
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPT)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
 def _make_settled(call: Callable[[Argument], object], argument: Argument) -> None:
     _settle(frozenset(), True, {})
     call(argument)
@@ -355,8 +368,10 @@ def _settle(place: Cores, is_alone: bool, environment: Mapping[str, str], writer
     global _messages
     _messages = writer
     os.environ.update(environment)  # that of a fork is as old as the process it was forked off
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPT)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, which ends this process without a traceback
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPT)
+    with suppress(OSError):  # on Linux, where memory runs out, it ends and not its parent, which says so
+        Path("/proc/self/oom_score_adj").write_text("1000", encoding="utf-8")
     if place:
         os.sched_setaffinity(0, place)
     elif not is_alone:  # macOS cannot keep a process to a core; one thread comes nearest to it

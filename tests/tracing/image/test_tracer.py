@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from xfreqbench.scene.materials import complex_permittivity
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Antenna, ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
+from xfreqbench.tracing.image.kernels import compiled
 from xfreqbench.tracing.image.kernels.channels import paths_to_centre
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
 from xfreqbench.tracing.paths import SPECULAR
@@ -334,3 +336,19 @@ print(hashlib.sha256(tracer.channel(tx[:int(sys.argv[2])]).cfr[:2].tobytes()).he
     commands = ([sys.executable, "-c", program, threads, number] for threads, number in (("1", "3"), ("2", "2")))
     digests = {subprocess.run(command, capture_output=True, text=True, check=True).stdout for command in commands}
     assert len(digests) == 1
+
+
+def test_an_interruption_does_not_wait_for_threads_that_compile_or_compute(monkeypatch: pytest.MonkeyPatch) -> None:
+    computes, may_end = Event(), Event()
+
+    def call(number: int) -> None:
+        if number == 0:
+            computes.wait()
+            raise KeyboardInterrupt
+        computes.set()
+        may_end.wait()
+
+    monkeypatch.setattr(compiled, "num_threads", lambda: 2)
+    with pytest.raises(KeyboardInterrupt):
+        compiled.side_by_side(call, 2)
+    may_end.set()

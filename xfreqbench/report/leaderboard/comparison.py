@@ -17,7 +17,7 @@ from scipy.special import ndtri, stdtrit
 from xfreqbench.maps.metrics import NUM_RESAMPLES, quantiles
 from xfreqbench.report.leaderboard.boards import Board
 from xfreqbench.report.leaderboard.rows import BoardRow
-from xfreqbench.system.machine import one_thread
+from xfreqbench.system.machine import one_blas_thread
 from xfreqbench.types import FloatArray, NDArray
 
 MIN_SEEDS = 3  # a learned method with fewer is not ranked
@@ -35,7 +35,7 @@ def medians_of(row: BoardRow, splits: Sequence[str], number: int = NUM_RESAMPLES
     """
     missing = [split for split in splits if (split, number) not in row.drawn]
     if missing:
-        with one_thread():
+        with one_blas_thread():
             every = resampled_medians([each.ssim_by_tx for split in missing for each in row.by_split[split]], number)
     for split in missing:
         medians, every = np.split(every, [len(row.by_split[split])])  # (S, R), and those of the other splits

@@ -60,6 +60,12 @@ def num_threads() -> int:
 
 
 def side_by_side(call: Callable[[int], Result], number: int) -> list[Result]:
-    """The results of `call` for 0 to number − 1, computed by as many threads as Numba may use."""
-    with ThreadPoolExecutor(num_threads()) as threads:
+    """The results of `call` for 0 to number − 1, computed by as many threads as Numba may use.
+
+    After an exception, Ctrl-C included, it does not wait for those that compile or compute, which may take a minute.
+    """
+    threads = ThreadPoolExecutor(num_threads())
+    try:
         return list(threads.map(call, range(number)))
+    finally:
+        threads.shutdown(wait=False, cancel_futures=True)

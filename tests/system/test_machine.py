@@ -1,0 +1,68 @@
+"""How much memory is left: of the machine, of a container or a batch job, and of a process's own limits."""
+
+from __future__ import annotations
+
+import resource
+from pathlib import Path
+
+import pytest
+
+from xfreqbench.errors import OutOfMemoryError
+from xfreqbench.system import machine
+from xfreqbench.system.machine import available_memory_mib, require_memory
+
+MIB = 2**20
+GROUPS = {
+    1: ("4:memory:/job/step\n2:cpu:/\n0::/\n", "memory/job", "memory.limit_in_bytes", "cache 7\ntotal_rss {}\n"),
+    2: ("0::/job/step\n", "job", "memory.max", "file 7\nanon {}\n"),
+}
+
+
+def _limit(folder: Path, monkeypatch: pytest.MonkeyPatch, version: int, limit: str, used: int, at: str = "") -> None:
+    """Put this process into a group, whose parent, or the folder `at`, has a limit."""
+    of_process, parent, limits, stat = GROUPS[version]
+    (folder / "cgroup").write_text(of_process)
+    (group := folder / (at or parent)).mkdir(parents=True)
+    (group / limits).write_text(limit)
+    (group / "memory.stat").write_text(stat.format(used))
+    monkeypatch.setattr(machine, "_GROUPS", folder / "cgroup")
+    monkeypatch.setattr(machine, "_LIMITS_OF_GROUPS", folder)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_the_limit_of_a_control_group_counts_without_its_cached_files(
+    version: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _limit(tmp_path, monkeypatch, version, f"{30 * MIB}", 10 * MIB)
+    assert available_memory_mib() == 20
+    assert available_memory_mib(4) == 5
+
+
+def test_in_a_container_the_limit_is_at_the_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _limit(tmp_path, monkeypatch, 1, f"{30 * MIB}", 40 * MIB, at="memory")
+    assert available_memory_mib() == 0
+
+
+def test_a_control_group_without_a_limit_leaves_what_the_machine_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(machine, "_MEMORY", memory := tmp_path / "meminfo")
+    memory.write_text("MemTotal: 9 kB\nMemAvailable: 5120 kB\n")
+    _limit(tmp_path, monkeypatch, 2, "max", 10 * MIB)
+    assert available_memory_mib() == 5
+    memory.unlink()
+    assert available_memory_mib() == float("inf")
+
+
+@pytest.mark.parametrize(("kind", "used"), [(resource.RLIMIT_AS, "VmSize"), (resource.RLIMIT_DATA, "VmData")])
+def test_what_ulimit_leaves_is_for_this_process(
+    kind: int, used: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(machine, "_STATUS", status := tmp_path / "status")
+    status.write_text(f"{used}:\t2048 kB\n")
+    unlimited, known = resource.RLIM_INFINITY, {kind: 3 * MIB}
+    monkeypatch.setattr(resource, "getrlimit", lambda asked: (known.get(asked, unlimited), unlimited))
+    assert available_memory_mib() == 1 < available_memory_mib(2)
+    with pytest.raises(OutOfMemoryError, match=r"Tracing takes 2 MiB of memory at least. 1 MiB are left. .*--executor"):
+        require_memory(2, "Tracing")
+    require_memory(1, "Tracing")
