@@ -98,7 +98,7 @@ LINES: dict[str, tuple[str, ...]] = {
 @functools.cache
 def names() -> tuple[str, ...]:
     """What a refusal may call the file that it refuses."""
-    words = ("record", "checkpoint", "scene", "taken.h5", "tx.", "transmitter position", "Transmitter ")
+    words = ("record", "checkpoint", "scene", "rooms ", "taken.h5", "tx.", "transmitter position", "Transmitter ")
     return (*words, "small_reference.npz", *(Path(path).name for path in sound_files()))
 
 
