@@ -231,6 +231,16 @@ def test_an_interruption_that_a_library_drops_counts() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_what_a_library_makes_of_an_interruption_is_one() -> None:
+    """Pydantic makes of it an error in a schema, in whose text it is all that is left of it."""
+    with pytest.raises(KeyboardInterrupt), interruptions_kept():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt as error:
+            lost = ValueError(str(error))
+        raise lost
+
+
 def test_an_interruption_waits_until_a_compiled_module_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """Matplotlib's and Numba's, cut in two, made of it an `ImportError`, and an abort at the interpreter's exit."""
     done = []

@@ -91,13 +91,16 @@ def _shown(error: XFreqBenchError) -> str:
 def interruptions_kept() -> Iterator[None]:
     """Let Ctrl-C count where Python or a library drops it: in the garbage collector, or while C looks for an attribute.
 
-    It is raised once more unless the main thread is ending because of it, and waits until a compiled module is
-    imported: one that is initialised halfway crashes the interpreter later, at its exit at the latest.
+    It is raised once more unless the main thread is ending because of it, and in place of what libraries make of it. It
+    waits until a compiled module is imported: one that is initialised halfway crashes the interpreter at its exit.
     """
     others, main_thread = sys.unraisablehook, threading.get_ident()
     is_ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # in a shell's background it is ignored
 
+    pressed = threading.Event()
+
     def press(number: int, frame: FrameType | None) -> None:
+        pressed.set()
         look_after()
         while frame and frame.f_code not in _LOADING:
             frame = frame.f_back
@@ -121,6 +124,10 @@ def interruptions_kept() -> Iterator[None]:
         signal.signal(signal.SIGINT, press)
     try:
         yield
+    except Exception as error:
+        if pressed.is_set():
+            raise KeyboardInterrupt from error
+        raise
     finally:
         sys.unraisablehook = others
         if is_ours:

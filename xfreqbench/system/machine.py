@@ -140,11 +140,10 @@ def _left_in_groups() -> Iterator[float]:
     with suppress(OSError):
         for line in _GROUPS.read_text(encoding="utf-8").splitlines():
             _, controllers, path = line.split(":", 2)
-            if "memory" in controllers.split(","):
-                root, limit, used = _LIMITS_OF_GROUPS / "memory", "memory.limit_in_bytes", "total_rss"
-            else:
-                root, limit, used = _LIMITS_OF_GROUPS, "memory.max", "anon"
-            for group in (root / path.strip("/"), *(root / path.strip("/")).parents):
+            is_first = "memory" in controllers.split(",")  # version of them
+            limit, used = ("memory.limit_in_bytes", "total_rss") if is_first else ("memory.max", "anon")
+            innermost = _LIMITS_OF_GROUPS / ("memory" if is_first else "") / path.strip("/")
+            for group in (innermost, *innermost.parents):
                 with suppress(OSError, ValueError, IndexError):  # in a container, it is elsewhere than its name says
                     most = int((group / limit).read_text(encoding="utf-8"))
                     yield most - int(_stated(group / "memory.stat", used, " ")[0])
