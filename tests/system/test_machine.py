@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -66,3 +67,8 @@ def test_what_ulimit_leaves_is_for_this_process(
     with pytest.raises(OutOfMemoryError, match=r"Tracing takes 2 MiB of memory at least. 1 MiB are left. .*--executor"):
         require_memory(2, "Tracing")
     require_memory(1, "Tracing")
+
+
+def test_where_not_even_a_small_file_can_be_read_nothing_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "_left_in_groups", Mock(side_effect=MemoryError))
+    assert available_memory_mib() == 0

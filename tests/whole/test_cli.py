@@ -27,6 +27,7 @@ from xfreqbench.cli.main import app, interruptions_kept
 from xfreqbench.cli.options import parse_carriers_hz
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import XFreqBenchError
+from xfreqbench.system import machine
 
 HEAVY = {"numpy", "torch", "sionna", "mitsuba", "drjit", "h5py", "numba", "scipy", "skimage", "matplotlib"}
 
@@ -320,6 +321,17 @@ def test_where_memory_runs_out_a_line_says_so(error: Exception, said: str, monke
     assert ended.stderr.startswith(f"xfreqbench: memory ran out: {said}. ")
     assert re.search(r" [\d,]+ MiB are left. Close other programs.*fewer workers", ended.stderr)
     assert ended.stderr.count("\n") == 1
+
+
+def test_where_hardly_any_memory_is_left_every_error_is_of_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    def run() -> None:
+        monkeypatch.setattr(machine, "available_memory_mib", lambda processes=1: 1)
+        raise RuntimeError("dict.__setitem__ failed unexpectedly")  # as LLVM's binding says
+
+    monkeypatch.setattr(cli, "app", run)
+    ended = xfreqbench("scenes")
+    assert ended.code == 1
+    assert ended.stderr.startswith("xfreqbench: memory ran out: dict.__setitem__ failed unexpectedly. 1 MiB are left.")
 
 
 def test_what_needs_more_memory_than_there_is_is_refused_before_it_starts(tmp_path: Path) -> None:

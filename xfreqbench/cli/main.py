@@ -17,16 +17,16 @@ from typing import NoReturn
 from xfreqbench.cli import data, exchange, measure, runs
 from xfreqbench.cli.options import app
 from xfreqbench.cli.plugins import add_plugin_commands
-from xfreqbench.errors import (
-    OutOfMemoryError,
-    RunsFailedError,
-    StorageError,
-    XFreqBenchError,
-    ran_out_of_memory,
-    was_interrupted,
-)
+from xfreqbench.errors import OutOfMemoryError, RunsFailedError, StorageError, XFreqBenchError, was_interrupted
 from xfreqbench.system.bars import announcing
-from xfreqbench.system.machine import memory_left, now, require_memory, require_thread_count, require_working_folder
+from xfreqbench.system.machine import (
+    lacks_memory,
+    memory_left,
+    now,
+    require_memory,
+    require_thread_count,
+    require_working_folder,
+)
 
 __all__ = ["app", "data", "exchange", "main", "measure", "runs"]  # importing a file adds its commands
 _WIDTHS = 20, 1000  # columns of text: narrower, a help text never ends; wider, it fills the memory
@@ -69,7 +69,7 @@ def main() -> None:
     except (Exception, KeyboardInterrupt) as error:
         if was_interrupted(error):  # Numba and Dr.Jit raise errors of their own where Ctrl-C interrupts a kernel
             _leave("\nxfreqbench: interrupted; the same command goes on where it stopped.", 130)
-        if ran_out_of_memory(error):
+        if lacks_memory(error):
             said = str(error).partition("\n")[0] or type(error).__name__
             _leave(f"xfreqbench: memory ran out: {said}. {memory_left()}", 1)
         if not isinstance(error, OSError) or (error.filename is None and not _is_output_lost()):

@@ -14,8 +14,8 @@ from typing import Any
 
 from pydantic_core import from_json
 
-from xfreqbench.errors import MethodError, OutOfMemoryError, XFreqBenchError, ran_out_of_memory, was_interrupted
-from xfreqbench.system.machine import memory_left
+from xfreqbench.errors import MethodError, OutOfMemoryError, XFreqBenchError, was_interrupted
+from xfreqbench.system.machine import lacks_memory, memory_left
 
 _MOST_SHOWN = 2000  # characters of a message
 _IMPORTING = Path(importlib.__file__).parent
@@ -40,7 +40,7 @@ def method_code(
     except BaseException as error:
         if was_interrupted(error):
             raise KeyboardInterrupt from error
-        if ran_out_of_memory(error):
+        if lacks_memory(error):
             raise OutOfMemoryError(f"{failed} {described(error)}. Memory ran out. {memory_left()}") from error
         raise MethodError(f"{failed} {described(error)}. {advice}".rstrip()) from error
     finally:

@@ -16,7 +16,7 @@ from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
-from xfreqbench.errors import OutOfMemoryError, XFreqBenchError
+from xfreqbench.errors import OutOfMemoryError, XFreqBenchError, ran_out_of_memory
 
 _STATUS = Path("/proc/self/status")
 _MEMORY = Path("/proc/meminfo")
@@ -123,7 +123,10 @@ def available_memory_mib(processes: int = 1) -> float:
     On Linux it is the least that the system, control groups (of a container or a batch job) and `ulimit` leave. For
     several processes that will be started, it is what the first two leave for each.
     """
-    shared, own = [float("inf"), *_left_in_groups()], [float("inf")]
+    try:
+        shared, own = [float("inf"), *_left_in_groups()], [float("inf")]
+    except MemoryError:  # to read a small file
+        return 0.0
     with suppress(OSError, IndexError):
         shared.append(_stated_bytes(_MEMORY, "MemAvailable"))
     with suppress(OSError, IndexError, ImportError):
@@ -147,6 +150,11 @@ def _left_in_groups() -> Iterator[float]:
                 with suppress(OSError, ValueError, IndexError):  # in a container, it is elsewhere than its name says
                     most = int((group / limit).read_text(encoding="utf-8"))
                     yield most - int(_stated(group / "memory.stat", used, " ")[0])
+
+
+def lacks_memory(error: BaseException) -> bool:
+    """Whether memory ran out: an error says so, or so little is left that libraries say anything."""
+    return ran_out_of_memory(error) or available_memory_mib() < 16
 
 
 def require_memory(least_mib: float, who: str, processes: int = 1) -> None:
