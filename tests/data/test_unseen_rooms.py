@@ -73,9 +73,12 @@ def test_splits_are_those_of_test_rooms_then_of_other_types_or_of_validation_roo
         room_splits(rooms, "lofo")
 
 
-def test_a_room_of_the_same_plan_is_refused_whatever_its_walls_are_made_of(rooms: Collection, tmp_path: Path) -> None:
-    for name, seed in (("a.h5", 3), ("b.h5", 3)):
-        write_room(tmp_path / name, seed, 80 if name == "a.h5" else 81)
+@pytest.mark.parametrize("moved_m", [0.0, 0.001, -0.004])
+def test_a_room_of_the_same_plan_is_refused_whatever_its_walls_are_made_of(
+    rooms: Collection, tmp_path: Path, moved_m: float
+) -> None:
+    write_room(tmp_path / "a.h5", 3, 80)
+    write_room(tmp_path / "b.h5", 3, 81, moved_m=moved_m)
     pair = [room_of(tmp_path, name, seed, "box") for seed, name in enumerate(("a.h5", "b.h5"))]
     told = {"name": "twice", "family": {}, "options": {}, "carrier_hz": rooms.record.carrier_hz}
     with pytest.raises(ProtocolError, match=r"a\.h5 and b\.h5 .* have the same plan"):

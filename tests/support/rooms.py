@@ -21,10 +21,10 @@ NUM_TX = 80  # as many as the protocol needs
 REFLECTION = 0.8
 
 
-def write_room(path: Path, seed: int, num_tx: int = NUM_TX, maps: bool = False) -> None:
-    """The data set of the room that a seed makes."""
+def write_room(path: Path, seed: int, num_tx: int = NUM_TX, maps: bool = False, moved_m: float = 0.0) -> None:
+    """The data set of the room that a seed makes, its wall moved."""
     random = np.random.default_rng(seed)
-    wall_m, receiver = float(random.uniform(1.5, 4.0)), ReceiverArray(position_m=(0.0, 0.0, 2.6))
+    wall_m, receiver = float(random.uniform(1.5, 4.0)) + moved_m, ReceiverArray(position_m=(0.0, 0.0, 2.6))
     wall = Surface(f"wall {seed}", "wood", 0.02, (wall_m, -5.0, 0.0), (wall_m, 5.0, 3.0))
     scene = Scene(f"room {seed}", receiver, surface=(wall,))
     tx_position_m = random.uniform((-4.0, -4.0, 0.8), (wall_m - 0.3, 4.0, 1.8), size=(num_tx, 3))

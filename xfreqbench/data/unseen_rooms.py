@@ -22,14 +22,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from xfreqbench.data.collection import Collection, Part
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import ProtocolError, UnknownNameError
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.system.files import json_sha256
-from xfreqbench.types import IntArray
+from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_ghz_list, ghz_to_hz
 
 UNSEEN_ROOMS, UNSEEN_ROOMS_PLAN = "unseen-rooms", "unseen-rooms-plan"
@@ -39,6 +39,7 @@ NUMS_HEARD = (0, 4, 16, 64)  # transmitters
 NUM_ASKED = 16
 HEARD_GHZ, ASKED_GHZ = (1.0, 10.0, 60.0), (2.4, 24.25, 77.0)  # it is asked for those it heard too
 TOLD_MATERIAL, TOLD_THICKNESS_M = "concrete", 0.2  # of every surface of a plan
+_SAME_M = 0.005  # by which walls may differ in what is one room
 _SEED = 0
 
 
@@ -173,12 +174,16 @@ def room_splits(collection: Collection, protocol: str, on: str = "test") -> list
 def require_no_room_twice(collection: Collection) -> None:
     """Raise `ProtocolError` where two rooms of a collection have the same seed, the same data, or the same plan.
 
-    Plans are compared without names and materials: a room with other walls of the same shape is that room. A thousand
-    rooms take half a minute, so the answer for a collection is kept for its other splits.
+    Plans are compared to `_SAME_M`, without names and materials: a room with other walls of the same shape is that
+    room. A thousand rooms take half a minute, so the answer for a collection is kept for its other splits.
     """
-    seen = dict[tuple[str, str], str]()
+    seen, shapes = dict[tuple[str, str], str](), dict[int, list[tuple[str, FloatArray]]]()
     for room, dataset in zip(collection.rooms, collection, strict=True):
-        plan = _plan_sha256(dataset)
+        shape_m, plan = _shape_m(dataset), _plan_sha256(dataset)
+        if shape_m is not None:
+            known = shapes.setdefault(len(shape_m), [])
+            plan = next((file for file, other_m in known if np.abs(other_m - shape_m).max() < _SAME_M), room.file)
+            known.append((room.file, shape_m))
         for what, value in (("seed", str(room.seed)), ("data", room.sha256), ("plan", plan)):
             other = seen.setdefault((what, value), room.file) if value else room.file
             if other != room.file:
@@ -198,6 +203,17 @@ def _plan(dataset: PasDataset) -> Scene | None:
         for number, surface in enumerate(scene.surface)
     )
     return replace(scene, name="room", description="", surface=tuple(told), material=(), transmitters=None)
+
+
+def _shape_m(dataset: PasDataset) -> Float[FloatArray, "n 3"] | None:
+    """The corners of all surfaces of a room, each coordinate in ascending order; None where there are other meshes.
+
+    A wall that moves by a little changes it by no more, and the order of surfaces does not matter.
+    """
+    plan = _plan(dataset)
+    if plan is None or plan.scene or not plan.surface:
+        return None
+    return np.sort(np.concatenate([surface.corners_m for surface in plan.surface]), axis=0)
 
 
 def _plan_sha256(dataset: PasDataset) -> str:
