@@ -297,11 +297,11 @@ def info(
         raise XFreqBenchError(f"--glints takes 0 or more, but got {glints}.")
     if file.is_dir():
         collection = open_collection(file)
-        print(collection.description)
+        say(collection.description)
         collection.verify()
         print("every hash holds")
         return
-    print(describe(file))
+    say(describe(file))
     verify(file)
     print("every hash holds")
     dataset = open_dataset(file)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from xfreqbench.cli import data, exchange, measure, runs
-from xfreqbench.cli.options import app
+from xfreqbench.cli.options import app, plain
 from xfreqbench.cli.plugins import add_plugin_commands
 from xfreqbench.errors import RunsFailedError, StorageError, XFreqBenchError, was_interrupted
 from xfreqbench.system.bars import announcing
@@ -41,10 +41,10 @@ def main() -> None:
             app()
         sys.stdout.flush()
     except (StorageError, RunsFailedError) as error:  # of several runs, one may have found no space
-        print(f"xfreqbench: {error}", file=sys.stderr, flush=True)
+        print(f"xfreqbench: {plain(error)}", file=sys.stderr, flush=True)
         os._exit(2)  # at an ordinary exit HDF5 would write the failed file again, and crash
     except XFreqBenchError as error:
-        print(f"xfreqbench: {error}", file=sys.stderr)
+        print(f"xfreqbench: {plain(error)}", file=sys.stderr)
         sys.exit(2)
     except BrokenPipeError:  # the program that reads our output, such as `head`, has read enough
         _discard_output()
@@ -55,7 +55,7 @@ def main() -> None:
             if not _is_output_lost():
                 raise
             fault = f"what is printed cannot be written: {error.strerror}. Free some space, or print elsewhere."
-        print(f"xfreqbench: {fault}", file=sys.stderr)
+        print(f"xfreqbench: {plain(fault)}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         _leave_interrupted()
