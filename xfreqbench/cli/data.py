@@ -305,7 +305,7 @@ def info(
     verify(file)
     print("every hash holds")
     dataset = open_dataset(file)
-    print(compare_fingerprint(dataset).verdict)
+    say(compare_fingerprint(dataset).verdict)
     for link in dataset.links() if retrace else ():
         worst = require_origin(link, drawn_rows(link, retrace, seed))
         of = "".join(f" of {name}" for name in link.link_names if name)
