@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 from pydantic_core import from_json
 
+from tests.support.fuzzing.common import cut_or_flipped, fuzz, refusal
 from tests.support.leaderboard_records import make_bench
 from tests.support.stored_records import make_record, make_summary
 from xfreqbench.errors import DataError
@@ -142,6 +144,30 @@ def test_what_a_kill_leaves_of_a_line_is_told_from_a_whole_one_wherever_it_was_c
         path.write_bytes(whole[:end])
         stored = read(path)
         assert (len(stored.records), stored.num_truncated) == ((1, 0) if end == len(whole) else (0, 1)), whole[:end]
+
+
+def test_five_hundred_damages_lose_no_whole_record(tmp_path: Path) -> None:
+    path = tmp_path / "records.jsonl"
+    for record in (make_record(), make_bench(), make_record("line-of-sight", findings={"µ": ['é "\\', -1e-7]})):
+        append(path, record)
+    content = path.read_bytes()
+    whole = [line.rstrip() for line in content.splitlines()]
+    ends = st.sampled_from([b"", b"\n", b"\r\n", b"\r", b"\n\n", b"\xef\xbb\xbf", b"\0"])
+    lines = st.lists(st.tuples(st.sampled_from([*whole, whole[0][:90], b"{}"]), ends), max_size=4)
+    composed = lines.map(lambda parts: b"".join(line + end for line, end in parts))
+
+    def check(damaged: bytes) -> None:
+        path.write_bytes(damaged)
+        if refusal(lambda: read(path)):
+            return
+        before = read(path)
+        assert len(before.records) + len(before.benches) == sum(map(damaged.count, whole))
+        append(path, make_record("k-nearest"))
+        after = read(path)
+        assert after.records[:-1] == before.records and after.benches == before.benches
+        assert (after.records[-1].job.method, after.num_truncated) == ("k-nearest", 0)
+
+    fuzz(500, cut_or_flipped(content) | composed, check)
 
 
 def _append_many(path, method):

@@ -21,7 +21,9 @@ import pytest
 from cyclopts import App
 
 from tests.support.fuzzing.common import xfreqbench
+from tests.support.leaderboard_records import make_records
 from tests.support.places import ROOT
+from tests.support.stored_records import make_record, store
 from xfreqbench.cli import main as cli
 from xfreqbench.cli.main import app, interruptions_kept
 from xfreqbench.cli.options import parse_carriers_hz
@@ -396,3 +398,13 @@ def test_where_docstrings_are_left_out_it_says_so() -> None:
     for words in (["methods", "nearest"], ["--help"]):
         done = subprocess.run([*command, *words], capture_output=True, text=True, check=True)
         assert "PYTHONOPTIMIZE=2 (python -OO) leaves out" in done.stdout
+
+
+def test_no_name_steers_the_terminal_or_turns_letters_round(tmp_path: Path) -> None:
+    name = "a\x1b]0;title\x07\x9b31m\u202eb"
+    folder = store(tmp_path / "results", *make_records(), make_record(name))
+    for words in (("compare", f"{folder}/{name}", f"{folder}/nearest"), ("compare", folder, folder)):
+        outcome = xfreqbench(*words)
+        said = outcome.stdout + outcome.stderr
+        assert r"a\x1b]0;title\x07\x9b31m\u202eb" in said
+        assert not set("\x1b\x07\x9b\u202e") & set(said)

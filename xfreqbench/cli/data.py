@@ -297,15 +297,15 @@ def info(
         raise XFreqBenchError(f"--glints takes 0 or more, but got {glints}.")
     if file.is_dir():
         collection = open_collection(file)
-        print(collection.description)
+        say(collection.description)
         collection.verify()
         print("every hash holds")
         return
-    print(describe(file))
+    say(describe(file))
     verify(file)
     print("every hash holds")
     dataset = open_dataset(file)
-    print(compare_fingerprint(dataset).verdict)
+    say(compare_fingerprint(dataset).verdict)
     for link in dataset.links() if retrace else ():
         worst = require_origin(link, drawn_rows(link, retrace, seed))
         of = "".join(f" of {name}" for name in link.link_names if name)

@@ -15,7 +15,7 @@ from types import FrameType
 from typing import NoReturn
 
 from xfreqbench.cli import data, exchange, measure, runs
-from xfreqbench.cli.options import app
+from xfreqbench.cli.options import app, plain
 from xfreqbench.cli.plugins import add_plugin_commands
 from xfreqbench.errors import OutOfMemoryError, RunsFailedError, StorageError, XFreqBenchError, was_interrupted
 from xfreqbench.system.bars import announcing
@@ -77,13 +77,13 @@ def main() -> None:
         fault = f"{error.filename} cannot be used: {error.strerror}. Correct the path or its permissions."
         if error.filename is None:
             fault = f"what is printed cannot be written: {error.strerror}. Free some space, or print elsewhere."
-        print(f"xfreqbench: {fault}", file=sys.stderr)
+        print(f"xfreqbench: {plain(fault)}", file=sys.stderr)
         sys.exit(2)
 
 
 def _shown(error: XFreqBenchError) -> str:
-    """The message of an error, without the middle where it quotes what is very long."""
-    text = str(error)
+    """The message of an error as it is printed, without the middle where it quotes what is very long."""
+    text = plain(error)
     return text if len(text) < 8000 else f"{text[:4000]} … {text[-2000:]}"
 
 

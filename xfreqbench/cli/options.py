@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -52,6 +53,7 @@ app = App(
     suppress_keyboard_interrupt=False,
     default_parameter=Parameter(negative_iterable=(), converter=_typed),  # no --empty-set beside --set
 )
+_STEERING = re.compile(r"[\0-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 # Groups of the commands in --help, in this order.
 GROUPS = DATA, RUN, RESULTS, EXCHANGE, ADVANCED, PLUGINS, _OTHERS = tuple(
     Group(name, sort_key=place)
@@ -150,10 +152,15 @@ def parse_targets_ghz(targets: str | None) -> list[float] | Literal["all"] | Non
     return "all" if targets == "all" else parse_carriers_ghz(targets, TARGETS)
 
 
-def say(text: str, quiet: bool = False) -> None:
-    """Print a text at once, unless `quiet`."""
+def plain(text: object) -> str:
+    """A text with escapes, such as `\\x1b`, for what would steer a terminal or turn the order of letters round."""
+    return _STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
+
+
+def say(text: object, quiet: bool = False) -> None:
+    """Print a text of `plain` at once, unless `quiet`."""
     if not quiet:
-        print(text, flush=True)
+        print(plain(text), flush=True)
 
 
 def say_written(output: Path, is_new: bool, quiet: bool) -> None:
@@ -172,5 +179,5 @@ def print_table(title: str, header: tuple[str, ...], rows: list[tuple[str, ...]]
     for name in header:
         table.add_column(Text(name))
     for row in rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*map(Text, map(plain, row)))
     Console(width=None if sys.stdout.isatty() else 160).print(table)

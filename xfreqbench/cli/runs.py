@@ -71,7 +71,7 @@ def check_method(method: str, *, set_: Overrides = ()) -> None:
     with LocalProcesses(all_cores(), is_fresh=True) as own:  # which the method may end
         results = own.submit(partial(results_of, method), set_).result()
     for result in results:
-        print(result)
+        say(result)
     num_faults = sum(result.is_fault for result in results)
     if num_faults:
         raise MethodError(f"Method {method!r} breaks its contract in {num_faults} of the points above.")
@@ -359,4 +359,4 @@ def compare(a: str, b: str) -> None:
     from xfreqbench.report.leaderboard.results import results_at
     from xfreqbench.report.leaderboard.side_by_side import compare_results
 
-    print(compare_results(results_at(a), results_at(b)))
+    say(compare_results(results_at(a), results_at(b)))

@@ -475,13 +475,9 @@ def _is_half(line: bytes) -> bool:
     if not any(line.startswith(start[: len(line)]) for start in _STARTS):
         return False
     try:
-        from_json(codecs.getincrementaldecoder("utf-8")().decode(line), allow_partial=True)
-    except ValueError:
-        return False
-    try:
-        from_json(line)
-    except ValueError:
-        return True
+        from_json(codecs.getincrementaldecoder("utf-8")().decode(line))
+    except ValueError as error:
+        return str(error).startswith("EOF")
     return False
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.support import rooms
 from tests.support.fuzzing.common import xfreqbench
 from tests.support.plans import small_plan
 from xfreqbench.data.collection import Collection, open_collection
@@ -140,3 +141,15 @@ def test_data_of_a_scene_that_ships_name_it(tmp_path: Path) -> None:
     told = (tmp_path / "card/README.md").read_text()
     assert "xfreqbench generate two_rooms --tx" in told and "license: other\n" in told
     assert not (tmp_path / "card/scene.toml").exists()
+
+
+def test_the_name_of_a_scene_is_no_markup_in_the_card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    named = rooms.Scene
+    name = "<img src=x>\n---\nlicense: other\x1b\u202e"
+    monkeypatch.setattr(rooms, "Scene", lambda _, *fields, **others: named(name, *fields, **others))
+    rooms.write_room(tmp_path / "room.h5", 3, 8)
+    write_card(tmp_path / "room.h5", tmp_path / "card", "CC0-1.0", lambda _: None)
+    text = (
+        (tmp_path / "card" / "README.md").read_text(encoding="utf-8").split("\n---\n", 1)[1]
+    )  # below the front matter
+    assert "# Power angular spectra of scene &lt;img src=x> " in text and "in scene &lt;img src=x> " in text

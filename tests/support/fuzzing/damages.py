@@ -61,8 +61,11 @@ def _records() -> st.SearchStrategy[Damage]:
     sealed = st.builds(joined, spoilt, st.sampled_from([True, True, True, False]))
     endings = [b"{", b"x", b"\xff", b"[" * 5000, b"\n\n", b"{}\n", b"[" * 5000 + b"\n"]
     ended = st.sampled_from(endings).map(lambda end: content + end)
+    line_ends = [content.replace(b"\n", end) for end in (b"\r\n", b"\r", b"\n\n", b"")]
+    marked = [b"\xef\xbb\xbf" + content, content.decode().encode("utf-16"), content[:-1] + b"\0" * 9]
+    moved = st.sampled_from([*line_ends, *marked, content[:-1], content * 2])
     bytes_ = cut_or_flipped(content) | st.binary(max_size=80)
-    return in_place_of(RECORDS, sealed | sealed | sealed | bytes_ | ended)
+    return in_place_of(RECORDS, sealed | sealed | sealed | bytes_ | ended | moved)
 
 
 def _maps() -> st.SearchStrategy[Damage]:

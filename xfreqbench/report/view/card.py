@@ -23,6 +23,7 @@ from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.statistics import ChannelStatistics
 from xfreqbench.data.statistics import statistics as statistics_of
 from xfreqbench.errors import DataError, SceneError, XFreqBenchError
+from xfreqbench.report.drawing.markdown import heading, literal
 from xfreqbench.report.view.describe import describe
 from xfreqbench.report.view.pictures import draw_maps, plot_statistics
 from xfreqbench.scene.families import DRAWING, load_family
@@ -425,9 +426,9 @@ configs:
 {configs}
 ---
 
-# {content.title}
+# {heading(content.title)}
 
-{content.summary} The data are in `{content.data}`, under {license_id}. Beside them:
+{literal(content.summary)} The data are in `{content.data}`, under {license_id}. Beside them:
 
 {listed}
 * `{METADATA}`: the same as Croissant metadata, for search engines and loaders
