@@ -108,7 +108,7 @@ def test_a_table_is_recorded_as_it_was_printed_unless_it_broke_off(tmp_path: Pat
 
 def test_a_place_that_takes_no_records_is_refused_before_anything_is_measured(tmp_path: Path) -> None:
     (tmp_path / "text").write_text("no record\n")
-    with pytest.raises(DataError, match="line 1, is no"):
+    with pytest.raises(DataError, match="is no file of records"):
         Bench("render", "", print, tmp_path / "text").introduce()
     with pytest.raises(StorageError, match="cannot be written"):
         Bench("render", "", print, tmp_path / "text" / "records.jsonl").introduce()

@@ -182,7 +182,9 @@ def test_a_call_whose_process_dies_is_made_again_and_one_that_processes_die_of_i
     assert future.result() == "done"
     assert {argument for argument, future in outcomes.items() if future.exception()} == {2}
     assert isinstance(outcomes[2].exception(), ClusterError)
-    assert f"{MAX_DEATHS} workers died of it. Most often memory ran out" in str(outcomes[2].exception())
+    assert f"{MAX_DEATHS} workers died of it, the last by SIGKILL. Most often memory ran out" in str(
+        outcomes[2].exception()
+    )
 
 
 def test_ctrl_c_reaches_the_parent_alone() -> None:

@@ -21,8 +21,8 @@ RunProgress = Callable[[int, int, Job, RunRecord | None], None]
 def run_bars(quiet: bool, shows_fit: bool) -> Iterator[tuple[RunProgress | None, FitProgress | None]]:
     """The two callbacks of `run_jobs`, which show progress on stderr; with `quiet` both are None.
 
-    The second, of the fit at hand, is for fits in this process. Where bars cannot be drawn, as in a file, there is a
-    line for each run that has ended, and one every ten seconds.
+    The second, of the fit at hand, is None unless `shows_fit`: where several take place at once. Where bars cannot be
+    drawn, as in a file, there is a line for each run that has ended, and one every ten seconds.
     """
     if quiet:
         yield None, None
@@ -44,7 +44,7 @@ def run_bars(quiet: bool, shows_fit: bool) -> Iterator[tuple[RunProgress | None,
             spent = fit.share or None  # of a budget; without one nobody knows when the fit ends
             bars.show(1, fit.share, 1 if spent else None, fit_state(fit), f"fitting {job.method} {job.split}")
 
-        yield ended, fitting
+        yield ended, fitting if shows_fit else None
 
 
 def fit_state(fit: Fit) -> str:

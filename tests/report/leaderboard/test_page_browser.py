@@ -108,6 +108,7 @@ def test_another_board_brings_its_own_table_and_charts_and_a_method_keeps_its_co
     assert "quick: average 0.7500" in links.first.inner_text()  # what is better is an ablation
     before = page.locator('#pareto .point[data-row="nearest"]').evaluate(colour)
     links.filter(has_text="trivial predictors alone").click()
+    page.locator("#pareto .point").nth(1).wait_for(state="detached")
     assert shown_labels(page) == ["nearest"]
     assert page.locator("#pareto .point").count() == 1
     assert page.locator('#pareto .point[data-row="nearest"]').evaluate(colour) == before
