@@ -17,7 +17,7 @@ from tests.support.synthetic import append_all, make_header
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import Plan, plan_generation
-from xfreqbench.data.recipe import Recipe, job_of
+from xfreqbench.data.recipe import Recipe, job_of, recipe_name
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.materials import Scattering, SceneMaterial
@@ -122,6 +122,10 @@ def test_other_samples_of_the_same_physics_are_another_recipe(usual: Recipe, cha
     changed = recipe_of(planned(**changes))
     assert changed.physics_sha256 == usual.physics_sha256
     assert changed.id != usual.id
+
+
+def test_a_name_is_one_line_that_steers_no_terminal() -> None:
+    assert recipe_name("a\n```\x1b[31m é", "2-12345678ff") == r"a\n```\x1b[31m é@2-12345678"
 
 
 def test_another_grid_of_maps_is_another_recipe(usual: Recipe) -> None:

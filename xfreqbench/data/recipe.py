@@ -141,9 +141,9 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
 
 
 def recipe_name(scene_name: str, recipe_id: str) -> str:
-    """The name that is shown of a recipe, from the name of its scene and its `Recipe.id`."""
+    """The name that is shown of a recipe, on one line, from the name of its scene and its `Recipe.id`."""
     physics, _, sha256 = recipe_id.partition("-")
-    return f"{scene_name}@{physics}-{sha256[:8]}"
+    return f"{repr(scene_name)[1:-1]}@{physics}-{sha256[:8]}"
 
 
 def micrometres(position_m: Float[FloatArray, "T 3"]) -> Any:

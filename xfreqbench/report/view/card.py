@@ -399,7 +399,7 @@ pip install xfreqbench=={__version__}
 {commands}
 ```
 
-It makes data of the same recipe, `{content.recipe}`, sha256 `{content.sha256}`; the last digits may differ from
+It makes data of the same recipe, {literal(content.recipe)}, sha256 `{content.sha256}`; the last digits may differ from
 processor to processor. `xfreqbench info {shlex.quote(content.data)}` prints the recipe.
 {content.note}"""
     measured = f"""
