@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.places import MEASURED_FLAT
 from tests.support.screened_room import SCENE as SCREENED
-from xfreqbench.bench.measured import Measurement, bench_measured, read_measurement
+from xfreqbench.bench.measured import Measurement, _scores, bench_measured, read_measurement
 from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import DataError, PlacementError, SceneError
 from xfreqbench.scene.model import ReceiverArray, load_scene, parse_scene
@@ -110,6 +110,12 @@ def test_a_number_that_stands_for_not_received_is_asked_about(tmp_path: Path, mi
                 read_measurement(path, lone, None)
         else:
             assert read_measurement(path, lone, None).power_db[60, 0] == float(missing)
+
+
+def test_equal_powers_correlate_with_nothing() -> None:
+    power_db, in_sight = np.full((6, 1), -40.0), np.ones((6, 1), bool)
+    *_, r = _scores(np.arange(6.0)[:, None], power_db, in_sight, np.arange(6), 0)
+    assert r == "–"
 
 
 def test_positions_in_centimetres_are_refused_before_anything_is_traced() -> None:

@@ -127,6 +127,7 @@ def test_an_axis_of_any_length_is_turned_about(folder: Path) -> None:
         ('<lookat origin="0 0 0" target="0 0 1" up="0 0 1"/>', "no direction"),
         ('<shear x="1"/>', "step 'shear'"),
         ('<scale value="1e200"/><scale value="1e200"/>', "beyond every number"),
+        ('<matrix value="1e155 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"/>', "beyond every number"),
     ],
 )
 def test_a_transform_without_sense_is_refused(folder: Path, step: str, message: str) -> None:

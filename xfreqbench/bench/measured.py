@@ -254,14 +254,14 @@ def _scores(
     means = np.bincount(block, error_db[is_scored])[num_scored > 0] / num_scored[num_scored > 0]
     model_db = np.where(is_scored, error_db + power_db, np.nan)
     a, b = (values - np.nanmean(values, axis=0) for values in (model_db, np.where(is_scored, power_db, np.nan)))
-    r = np.nansum(a * b) / np.sqrt(np.nansum(a * a) * np.nansum(b * b))
+    spread = np.sqrt(np.nansum(a * a) * np.nansum(b * b))
     sights = [error_db[is_scored & sight] for sight in (in_sight, ~in_sight)]
     return (
         f"{_rms(error_db[is_scored]):.2f} [{low:.2f}, {high:.2f}]",
         *(f"{_rms(part):.2f}" if len(part) else "–" for part in sights),
         f"{_rms(means):.2f}",
         f"{np.median(np.abs(error_db[is_scored])):.2f}",
-        f"{r:.2f}",
+        f"{np.nansum(a * b) / spread:.2f}" if spread else "–",
     )
 
 

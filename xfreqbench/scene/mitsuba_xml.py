@@ -398,7 +398,7 @@ def affine_transform(transform: ElementTree.Element, where: str) -> Float[FloatA
     for element in transform:
         with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused below
             whole = _step(element, where) @ whole
-    if not np.isfinite(whole).all():
+    if not (np.abs(whole) < 1e100).all():  # beyond, the products of three below overflow
         raise SceneError(f"{where} has a <transform> that moves it beyond every number.")
     lengths = np.linalg.norm(whole[:3, :3], axis=0)
     if not abs(np.linalg.det(whole[:3, :3])) > FLAT * np.prod(lengths):
