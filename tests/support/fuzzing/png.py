@@ -95,7 +95,7 @@ def receivers() -> st.SearchStrategy[bytes]:
     replaced = st.tuples(st.sampled_from(places), st.sampled_from(ODD_YAML) | WORDS).map(
         lambda change: sound.replace(*change, 1)
     )
-    return (spoilt | replaced | replaced).map(lambda text: text.encode("utf-8", "surrogateescape"))
+    return (spoilt | replaced | replaced).map(lambda text: text.encode("utf-8", "surrogatepass"))
 
 
 def odd_images() -> st.SearchStrategy[bytes]:
