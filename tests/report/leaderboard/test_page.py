@@ -140,17 +140,18 @@ def test_a_board_is_at_an_address_or_a_frozen_version(tmp_path: Path, monkeypatc
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (gzip.compress(bytes(2_000_000)), r"holds more than 1 MB\. Download it yourself"),
-        (gzip.compress(bytes(2000)), "is no file of records"),
-        (gzip.compress(b""), "holds no records"),
+        (bytes(2_000_000), r"holds more than 1 MB\. Download it yourself"),
+        (bytes(2000), "is no file of records"),
+        (b"", "holds no records"),
     ],
+    ids=["too much", "no records", "nothing"],
 )
 def test_what_an_address_gives_is_bounded_and_goes_when_it_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes, told: str
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr("xfreqbench.report.leaderboard.results.MOST_BYTES", 1_000_000)
-    with served(content) as server:
+    with served(gzip.compress(content)) as server:
         server.encoding = "gzip"
         with pytest.raises(DataError, match=told):
             results_at(server.url)
