@@ -138,11 +138,16 @@ class Failing(Forking):
 """
 
 
+def run_in(folder: Path, dataset: PasDataset, methods: str, *more: str) -> subprocess.CompletedProcess[str]:
+    """The command `run` in a process and a working folder of its own."""
+    options = f"--data {dataset.path} --results results --targets 77 --methods {methods}"
+    command = [sys.executable, "-m", "xfreqbench.cli", "run", *options.split(), *more]
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder)
+
+
 def test_a_fit_that_forks_is_recorded_once(dataset: PasDataset, tmp_path: Path) -> None:
     (tmp_path / "forking.py").write_text(FORKING)
-    options = f"--data {dataset.path} --results results --targets 77 --quiet --methods forking:Forking,forking:Failing"
-    command = [sys.executable, "-m", "xfreqbench.cli", "run", *options.split()]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    done = run_in(tmp_path, dataset, "forking:Forking,forking:Failing", "--quiet")
     assert done.returncode == 0, done.stderr
     # each once before the clock starts, and once in the fit
     assert done.stderr.count("it forked the process; the child ends here") == 4
@@ -162,9 +167,7 @@ class Ending(Nearest):
 
 def test_a_fit_that_ends_its_process_stops_no_other(dataset: PasDataset, tmp_path: Path) -> None:
     (tmp_path / "ending.py").write_text(ENDING)
-    options = f"--data {dataset.path} --results results --targets 77 --methods ending:Ending,nearest"
-    command = [sys.executable, "-m", "xfreqbench.cli", "run", *options.split()]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    done = run_in(tmp_path, dataset, "ending:Ending,nearest")
     assert done.returncode == 2, done.stderr
     assert "1 of 2 runs failed" in done.stderr
     assert "ending:Ending on lofo-77GHz" in done.stderr

@@ -96,7 +96,6 @@ def interruptions_kept() -> Iterator[None]:
     """
     others, main_thread = sys.unraisablehook, threading.get_ident()
     is_ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # in a shell's background it is ignored
-
     pressed = threading.Event()
 
     def press(number: int, frame: FrameType | None) -> None:

@@ -198,9 +198,19 @@ class _Trial:
         method: Any = None,
     ) -> Any:
         """Fit a method, a new one if none is given, to the training rows of a data set, and return it."""
+        return self.fit_to(_training_rows(dataset), observe, budget, method)
+
+    def fit_to(
+        self,
+        train: PasDataset | Collection,
+        observe: Callable[[Any, Any], None] | None = None,
+        budget: Budget = _BUDGET,
+        method: Any = None,
+    ) -> Any:
+        """Fit a method, a new one if none is given, to all that is given, and return it."""
         method = method or self.new()
         with chdir(self.working_folder):
-            fit_within(method, _training_rows(dataset), budget, _SEED, observe=observe)
+            fit_within(method, train, budget, _SEED, observe=observe)
         return method
 
     def predict(self, method: Any, rows: Int[IntArray, "B"]) -> Float[NDArray[np.float32], "B E A"]:
@@ -364,8 +374,7 @@ def _leak_fault(trial: _Trial) -> str | None:
 
 def _memory_fault(trial: _Trial) -> str | None:
     """Fit to all samples, as for another split, then to the training rows as before, and compare the outcome."""
-    with chdir(trial.working_folder):
-        fit_within(trial.new(), trial.dataset.isolated(), _BUDGET, _SEED)
+    trial.fit_to(trial.dataset.isolated())
     return trial.difference_fault(
         trial.fit(trial.dataset), _SEED_TOLERANCE, "Keep what is learned in the instance, not in a module or a class."
     )
@@ -374,8 +383,7 @@ def _memory_fault(trial: _Trial) -> str | None:
 def _changed_data_fault(trial: _Trial) -> str | None:
     train = _training_rows(trial.dataset)
     given = deepcopy(arrays := _arrays_of(train))
-    with chdir(trial.working_folder):
-        fit_within(trial.new(), train, _BUDGET, _SEED)
+    trial.fit_to(train)
     changed = [name for name, values in arrays.items() if not np.array_equal(values, given[name])]
     return f"it changed {', '.join(changed)}. Change copies of them." if changed else None
 
@@ -480,10 +488,7 @@ class _RoomTrial(_Trial):
         return self.fitted_to_rooms(lambda before, now: self.steps.append(now.step))
 
     def fitted_to_rooms(self, observe: Callable[[Any, Any], None] | None = None) -> Any:
-        method, rooms = self.new(), self.rooms[list(_ROOM_SEEDS[:-1])]
-        with chdir(self.working_folder):
-            fit_within(method, rooms, _BUDGET, _SEED, observe=observe)
-        return method
+        return self.fit_to(self.rooms[list(_ROOM_SEEDS[:-1])], observe)
 
     def maps_of(self, method: RoomMethod, num_heard: int = _HEARD) -> Float[NDArray[np.float32], "B E A"]:
         """What the method predicts of the room that it was not trained on."""

@@ -22,7 +22,7 @@ from xfreqbench.scene.model import Point, ReceiverArray, Scene, Surface, form_er
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.types import FloatArray
 
-_MOST30 = 10_000  # for the places of the array and of all transmitters
+_MOST_TRIES = 10_000  # for the places of the array and of all transmitters
 _DOOR_HEIGHT_M, _DOOR_WIDTH_M, _WINDOW_WIDTH_M = 2.05, (0.8, 1.0), (0.8, 2.4)
 _BESIDE_OPENING_M, _BETWEEN_PARTITIONS_M = 0.15, 1.6
 _LIFTED_M, _GAP_M, _BELOW_CEILING_M = 0.02, 0.04, 0.05  # of furniture: off the floor, other things and the ceiling
@@ -58,7 +58,7 @@ class DrawnRoom:
         """
         dice, found = Dice(self.seed, 1), list[Point]()
         array_m = np.asarray(self.scene.receiver.position_m)
-        for _ in range(_MOST30 + 100 * number):
+        for _ in range(_MOST_TRIES + 100 * number):
             if len(found) == number:
                 return np.array(found)
             x, y = _within(dice, self.outline_m)
@@ -263,7 +263,7 @@ def _receiver(
 ) -> ReceiverArray:
     """The array at a random place under the ceiling, or before one of the walls."""
     array = dice.one_of(kind.arrays)
-    for _ in range(_MOST30):
+    for _ in range(_MOST_TRIES):
         away_m = dice.between(array.away_m)
         if array.at == "ceiling":
             x, y = _within(dice, outline_m)

@@ -28,6 +28,7 @@ FIGURE_KINDS = ("png", "svg", "pdf")
 _VIEWS = {"plan": (0, 1), "elevation": (0, 2)}  # world axes to the right and upwards
 _MAX_LETTERS = 80  # of a text in a figure
 # warnings; whoever shows an SVG may know the letters
+_UNKNOWN_LETTERS = "Glyph|Matplotlib currently does not support"
 _MAX_PIXELS = 10**7  # of a picture that is read
 # How an SVG looks where the reader's colours are dark: paper, ink and greys change, the colours of lines stay.
 _DARK = "".join(
@@ -150,7 +151,7 @@ def shown(text: str) -> str:
 def any_letters() -> Iterator[None]:
     """A block in which letters that the font lacks are drawn as boxes, without a warning."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph|Matplotlib currently does not support")
+        warnings.filterwarnings("ignore", _UNKNOWN_LETTERS)
         yield
 
 

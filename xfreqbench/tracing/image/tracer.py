@@ -55,6 +55,7 @@ MOST_AMPLITUDE = {"iso": 1.0, "dipole": math.sqrt(1.5), "tr38901": 10**0.4}  # o
 OPAQUE_TRANSMISSION = 1e-6  # −120 dB through a slab at normal incidence
 # Paths are sought from the array as wide as it is at 1 GHz, and through slabs that pass waves of 1 GHz; at the lowest
 # carrier where that is lower.
+SEARCHED_HZ = 1e9
 # Of a 4×4 array: maps of 68 dB or better at the 5th percentile; 8×8: 40 dB.
 MAX_INTERPOLATED_WAVELENGTHS = 1.5
 
@@ -119,7 +120,7 @@ class ImageTracer:
         aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
         self._media_at_centre, kind = media_of(geometry.meshes, ascending, settings.materials, scene)
         media = self._media_at_centre.in_lanes(*aperture.weight.shape)
-        lowest_hz = min(ascending[0], 1e9)  # what follows must not depend on what other carriers are asked for
+        lowest_hz = min(ascending[0], SEARCHED_HZ)  # what follows must not depend on what other carriers are asked for
         passing, _ = media_of(geometry.meshes, np.array([lowest_hz]), "extrapolate", scene)
         is_opaque = are_opaque(passing) | ("refraction" not in settings.named_interactions)
         mirrors = MirrorPlanes(geometry)
