@@ -15,11 +15,17 @@ from tests.support.plans import CARRIERS_HZ, SETTINGS, small_plan
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.data.trace import forget_rays, traced_alike
-from xfreqbench.errors import MaterialBandError, OutOfMemoryError, PlacementError, UnknownNameError, XFreqBenchError
+from xfreqbench.errors import (
+    ClusterError,
+    MaterialBandError,
+    OutOfMemoryError,
+    PlacementError,
+    UnknownNameError,
+    XFreqBenchError,
+)
 from xfreqbench.scene import facets, prepared
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.system import machine
-from xfreqbench.system.cluster import UnfitWorkerError
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
 
 
@@ -89,17 +95,15 @@ def test_a_worker_is_told_a_scene_and_builds_its_geometry_itself() -> None:
         np.testing.assert_array_equal(there.corners_m, here.corners_m)
 
 
-def test_a_worker_that_finds_other_meshes_or_software_leaves_the_work_to_others(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_worker_that_finds_other_meshes_or_software_refuses_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     plan = small_plan(num_transmitters=2)
     told, batch = pickle.loads(pickle.dumps(plan.tracing)), (0, plan.tx_position_m)
     forget_rays()
-    with pytest.raises(UnfitWorkerError, match=r"other software: numpy .* \(here 1\.0\)"):
+    with pytest.raises(ClusterError, match=r"other software: numpy .* \(here 1\.0\)"):
         traced_alike(told, {**plan.header.software, "numpy": "1.0"}, batch)
     meshes = prepared.surface_meshes
     monkeypatch.setattr(prepared, "surface_meshes", lambda scene: meshes(scene)[:-1])
-    with pytest.raises(UnfitWorkerError, match="finds other meshes of scene 'two_rooms'"):
+    with pytest.raises(ClusterError, match="finds other meshes of scene 'two_rooms'"):
         traced_alike(told, plan.header.software, batch)
 
 

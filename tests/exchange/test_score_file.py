@@ -106,7 +106,7 @@ def test_one_split_may_stand_at_the_root_as_matlab_writes_attributes(
 def test_a_scoring_killed_in_the_middle_keeps_whole_records_and_the_next_try_adds_the_others(
     dataset: PasDataset, predictions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    results, calls, original = tmp_path / "results", [], external.scored_record
+    results, calls, original = tmp_path / "results", [], external.record_of
 
     def killed_at_the_second(*arguments):
         calls.append(arguments)
@@ -114,7 +114,7 @@ def test_a_scoring_killed_in_the_middle_keeps_whole_records_and_the_next_try_add
             os.kill(os.getpid(), signal.SIGKILL)
         return original(*arguments)
 
-    monkeypatch.setattr(external, "scored_record", killed_at_the_second)
+    monkeypatch.setattr(external, "record_of", killed_at_the_second)
     killed(lambda: score_file(predictions, dataset.path, results))
     monkeypatch.undo()
     (first,) = stored(results)

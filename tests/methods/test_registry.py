@@ -12,14 +12,12 @@ from tests.support.packages import install
 from xfreqbench.errors import MethodError, OutOfMemoryError
 from xfreqbench.methods.registry import (
     build_method,
-    code_sha256,
     device_option,
     method_description,
     method_names,
     method_summaries,
     resolve_method,
 )
-from xfreqbench.system import source
 
 
 def test_a_method_is_found_as_module_and_class() -> None:
@@ -160,36 +158,3 @@ def test_a_device_is_given_to_methods_that_have_the_choice() -> None:
     assert device_option("xfreq-gs", "cuda") == ("device=cuda",)
     assert device_option("virtual-source", "cuda") == device_option("nearest", "cuda") == ()
     assert device_option("xfreq-gs", "cpu") == ()
-
-
-def test_the_hash_of_a_methods_code_covers_the_modules_of_ours_that_it_can_reach(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    changed, at = "xfreqbench.maps.metrics", source._file
-    (tmp_path / "metrics.py").write_bytes(at(changed).read_bytes() + b"# changed")
-    methods = {name: build_method(name) for name in ("aperture-gs", "nearest")}
-    before = {name: code_sha256(method) for name, method in methods.items()}
-    source._known.clear()
-    monkeypatch.setattr(source, "_file", lambda name: tmp_path / "metrics.py" if name == changed else at(name))
-    now = {name: code_sha256(method) for name, method in methods.items()}
-    source._known.clear()
-    assert now["aperture-gs"] != before["aperture-gs"]  # its loss is made of metrics
-    assert now["nearest"] == before["nearest"]
-
-
-def test_a_method_from_elsewhere_is_hashed_with_the_modules_that_it_imports(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "beside_own.py").write_text("LEVEL = 1\n")
-    (tmp_path / "own_method.py").write_text(
-        "from tests.support.stub_methods import Short\n\n\n"
-        "class Own(Short):\n    def predict(self, tx_position_m, carrier_hz):\n"
-        "        import beside_own\n\n        return beside_own.LEVEL\n"
-    )
-    method = build_method("own_method:Own")
-    before = code_sha256(method)
-    (tmp_path / "unrelated.py").write_text("LEVEL = 1\n")
-    assert code_sha256(method) == before
-    (tmp_path / "beside_own.py").write_text("LEVEL = 2\n")
-    assert code_sha256(method) != before

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from itertools import product
@@ -18,7 +17,7 @@ from xfreqbench.runs import benchmark as benchmarks
 from xfreqbench.runs.benchmark import Benchmark, cost, plan_benchmark
 from xfreqbench.runs.folder import ResultsFolder, read_records
 from xfreqbench.runs.presets import PRESETS, TRIVIAL_SETTINGS, Block, Preset, Setting
-from xfreqbench.system.workers import HERE
+from xfreqbench.system.workers import HERE, InThisProcess
 
 SMALL = Preset(
     description="a dozen transmitters of an empty room",
@@ -130,7 +129,7 @@ def test_a_benchmark_is_one_command_that_goes_on_where_it_stopped(folder: Path) 
 def test_a_second_benchmark_in_one_folder_is_refused_before_it_writes_anything(tmp_path: Path) -> None:
     results = tmp_path / "results"
     with (
-        Benchmark("small", SMALL, tmp_path / "data", results).alone(),
+        ResultsFolder(results).alone(),
         ThreadPoolExecutor(1) as other,
         pytest.raises(StorageError, match=r"results is being written by process \d+"),
     ):
@@ -144,11 +143,12 @@ def test_a_measurement_that_fails_is_named_and_made_again(folder: Path, monkeypa
     planned = plan_benchmark("small", folder / "data", folder / "measured")
     monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("bench", "stress", "--only", "ten octaves"), 1))
 
-    def fails_after_its_tables(call: Callable[[list[str]], None], command: list[str]) -> int:
-        return 1 - xfreqbench(*command, is_bounded=False).code
+    class FailsAfterItsTables(InThisProcess):
+        def submit(self, call, /, *arguments, **options):
+            return super().submit(lambda: 1 - xfreqbench(*arguments[0], is_bounded=False).code)
 
     with monkeypatch.context() as patch:
-        patch.setattr(benchmarks, "exit_status", fails_after_its_tables)
+        patch.setattr(benchmarks, "LocalProcesses", lambda *_, **__: FailsAfterItsTables())
         (failure,) = benchmarks.measure(planned, "stress")
     assert failure == "`xfreqbench bench stress --only ten octaves` ended with 1; see above"
     assert not planned.results.stored.benches

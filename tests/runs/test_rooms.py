@@ -25,10 +25,11 @@ from xfreqbench.methods.template import write_method_package
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.report.leaderboard.text import leaderboard
 from xfreqbench.report.leaderboard.unseen_rooms import room_tables, rooms_overview
-from xfreqbench.runs import rooms as runner
+from xfreqbench.runs import rooms as answers
+from xfreqbench.runs import run as runner
 from xfreqbench.runs.estimate import estimate_runs
 from xfreqbench.runs.folder import ResultsFolder, read_records
-from xfreqbench.runs.rooms import room_tasks
+from xfreqbench.runs.jobs import tasks_of
 from xfreqbench.runs.run import run
 
 SMALL = ["queries=8", "headings=16", "distances=12"]
@@ -80,23 +81,23 @@ def test_stored_sums_over_lags_are_scored_as_the_maps_that_were_predicted(result
 def test_one_fit_serves_all_numbers_heard_and_finished_rooms_are_kept(
     rooms: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    adapted, write = [], runner._write
+    adapted, write = [], runner.write_answers
     adapt = PerRoom.adapt
     monkeypatch.setattr(PerRoom, "adapt", lambda *given: adapted.append(1) or adapt(*given))
 
     def killed(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(runner, "_write", killed)
+    monkeypatch.setattr(runner, "write_answers", killed)
     with pytest.raises(KeyboardInterrupt):
         run(rooms, "nearest", "unseen-rooms", tmp_path)
-    monkeypatch.setattr(runner, "_write", write)
+    monkeypatch.setattr(runner, "write_answers", write)
     assert len(adapted) == 1
     records = run(rooms, "nearest", "unseen-rooms", tmp_path)
     assert len(adapted) == 4  # of one room, of which four numbers are heard
     assert len([*(tmp_path / "methods").iterdir()]) == 1
     assert not [*(tmp_path / "checkpoints").iterdir()]
-    assert all(record.counts[runner.ROOM_SECONDS] > 0 for record in records)
+    assert all(record.counts[answers.ROOM_SECONDS] > 0 for record in records)
 
 
 @pytest.mark.slow
@@ -130,7 +131,7 @@ def test_other_seeds_collections_and_commits_have_rows_tables_and_names_of_their
         *("line-of-sight", "nearest", "seed 0", "seed 1")
     }
     settings = stored[0].settings | {"rooms_trained_on": 1000}
-    more = {"recipe": "data-0123456789", "settings": settings, "counts": stored[0].counts | {runner.NUM_ROOMS: 1000}}
+    more = {"recipe": "data-0123456789", "settings": settings, "counts": stored[0].counts | {answers.NUM_ROOMS: 1000}}
     larger = [record.model_copy(update=more | {"git_commit": "0123456789"}) for record in stored[:-4]]
     first, *_, last = [table for table in room_tables([*stored, *larger]) if " · by " not in table.title]
     assert first.title.endswith(" · unseen-rooms · data-01234567") and first.title != last.title
@@ -161,9 +162,8 @@ def test_what_rooms_have_no_choice_of_is_refused(rooms: Collection, tmp_path: Pa
 
 
 def test_budgets_are_spent_in_each_room_or_once(rooms: Collection, tmp_path: Path) -> None:
-    tasks = room_tasks(
-        str(rooms.path), rooms, [("xfreq-gs", ()), ("room-lags", ())], "unseen-rooms", (0,), Budget(None, 60)
-    )
+    methods, budget = [("xfreq-gs", ()), ("room-lags", ())], Budget(None, 60)
+    tasks = tasks_of(str(rooms.path), rooms, methods, "unseen-rooms", None, (0,), budget)
     assert estimate_runs(tasks, tmp_path).num_fits == (1, 1, 1, 1, 1, 0, 0, 0)  # one room is tested
 
 
@@ -175,7 +175,7 @@ def test_methods_of_one_room_learn_from_what_is_heard_of_a_new_one(rooms: Collec
     assert len(records) == 3 * 4  # at twelve samples too, of four transmitters at three carriers
     scores = {(record.job.method, record.job.split): record.scores["ssim"].median for record in records}
     assert all(scores[method, "heard-64"] != scores[method, "heard-0"] for method in methods)
-    assert all(record.counts[runner.ROOM_SECONDS] > 0 for record in records)
+    assert all(record.counts[answers.ROOM_SECONDS] > 0 for record in records)
 
 
 @pytest.mark.slow

@@ -4,12 +4,9 @@ import os
 import shutil
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -24,7 +21,7 @@ from tests.support.stub_methods import lofo_job, run_job, run_jobs, task_of
 from xfreqbench.cli import runs
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import find_split
-from xfreqbench.errors import ClusterError, DataError, StorageError, XFreqBenchError
+from xfreqbench.errors import ClusterError, DataError, InUseError, StorageError, XFreqBenchError
 from xfreqbench.exchange.score_file import score_file
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.methods import fitting
@@ -125,54 +122,33 @@ def test_damaged_data_are_refused_before_the_first_fit(dataset: PasDataset, tmp_
         run_jobs([Job(str(path), "nearest", "lofo", "lofo-77GHz")], tmp_path / "results")
 
 
-class Overtaken(Stepwise):
-    """While it predicts, another worker begins with the same run or ends it, as after a suspension of this one."""
-
-    overtake: ClassVar[Callable[[], object]]
-
-    def predict(self, tx_position_m, carrier_hz):
-        type(self).overtake()
-        return super().predict(tx_position_m, carrier_hz)
+def test_a_second_process_is_told_who_runs_jobs_in_the_folder(dataset: PasDataset, tmp_path: Path) -> None:
+    with ResultsFolder(tmp_path).alone(), ThreadPoolExecutor(1) as other:
+        ran = other.submit(run_jobs, [lofo_job(dataset)], tmp_path)
+        with pytest.raises(InUseError, match=rf"{tmp_path} is being written by process {os.getpid()} on .* Wait"):
+            ran.result()
+    assert len(run_jobs([lofo_job(dataset)], tmp_path)) == 1
 
 
-@pytest.mark.parametrize(
-    "overtake",
-    [lambda lock: runner._takeover_check(lock, "the same driver"), lambda lock: lock.unlink(missing_ok=True)],
-    ids=["begun", "ended"],
-)
-def test_a_run_that_another_worker_has_taken_over_stores_nothing(
-    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overtake: Callable[[Path], object]
-) -> None:
-    folder, job = ResultsFolder(tmp_path), lofo_job(dataset, f"{__name__}:Overtaken", budget=Budget(max_steps=4))
-    lock = folder.run_lock_path(task_of(job).id)
-    monkeypatch.setattr(Overtaken, "overtake", staticmethod(partial(overtake, lock)), raising=False)
-    with pytest.raises(ClusterError, match="Another worker has taken over this run; nothing more of it is stored"):
-        run_job(job, tmp_path)
+def test_a_job_that_a_worker_without_a_driver_is_at_is_not_made_beside_it(dataset: PasDataset, tmp_path: Path) -> None:
+    folder, job = ResultsFolder(tmp_path), lofo_job(dataset)
+    with (
+        folder.lock(task_of(job).id),
+        ThreadPoolExecutor(1) as other,
+        pytest.raises(InUseError, match="is being written by process"),
+    ):
+        other.submit(run_job, job, tmp_path).result()
     assert not folder.records and not folder.predictions_paths()
 
 
-def test_what_another_process_runs_is_waited_for_and_not_run_again(
-    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_record_of_a_worker_with_other_code_is_not_stored(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The other one, a thread here, ends once everything that it is not at has been run."""
-    folder, jobs = ResultsFolder(tmp_path), [lofo_job(dataset), lofo_job(dataset, "line-of-sight")]
-    other, task, is_locked = ResultsFolder(tmp_path), task_of(jobs[0]), threading.Event()
-
-    def run_the_first() -> None:
-        with other.lock(task.id) as holder:
-            is_locked.set()
-            while not other.records:
-                time.sleep(0.01)
-            other.keep(runner._run_claimed(runner._Claim(task, task.id, holder), other))
-
-    with ThreadPoolExecutor(1) as threads:
-        ended = threads.submit(run_the_first)
-        is_locked.wait()
-        told = run_jobs(jobs, tmp_path)
-        ended.result()
-    assert [record.job.method for record in told] == ["nearest", "line-of-sight"]
-    assert [record.job.method for record in folder.records] == ["line-of-sight", "nearest"]
-    assert f"{task.id}.h5 is being written by process {os.getpid()} on " in capsys.readouterr().err
+    record_of = runner.record_of
+    monkeypatch.setattr(runner, "record_of", lambda _, *told: record_of("0" * 16, *told))
+    with pytest.raises(ClusterError, match="A worker has other code of method 'nearest', or other data at "):
+        run_job(lofo_job(dataset), tmp_path)
+    assert not ResultsFolder(tmp_path).records
 
 
 @pytest.mark.slow
@@ -187,17 +163,6 @@ def test_a_method_of_the_working_folder_is_imported_in_every_process_and_nothing
         subprocess.run([*command, "--executor", executor, "--results", executor, "--quiet"], cwd=tmp_path, check=True)
         assert len(records.read(tmp_path / executor / "records.jsonl").records) == 1
     assert not (tmp_path / "imported").exists()
-
-
-@pytest.mark.slow
-def test_the_same_command_given_twice_at_once_runs_everything_once(dataset: PasDataset, tmp_path: Path) -> None:
-    options = "--method nearest,line-of-sight,mean-over-frequency --targets 77 --quiet"
-    command = [command_line(), "run", "--data", str(dataset.path), "--results", str(tmp_path), *options.split()]
-    both = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) for _ in range(2)]
-    assert [process.wait() for process in both] == [0, 0]
-    stored = records.read(tmp_path / "records.jsonl").records
-    assert len(stored) == len({record.id for record in stored}) == 3
-    assert not list(tmp_path.glob("**/*.lock"))
 
 
 def test_running_needs_neither_sionna_nor_matplotlib() -> None:

@@ -15,25 +15,23 @@ import pytest
 from tests.support.places import ROOT
 from xfreqbench.errors import ClusterError, OutOfMemoryError, XFreqBenchError
 from xfreqbench.system import machine
-from xfreqbench.system.workers import (
+from xfreqbench.system.processes import (
     MAX_DEATHS,
-    InThisProcess,
     LocalProcesses,
     all_cores,
     open_workers,
     own_cores,
     send_message,
-    side_by_side,
     split_cores,
 )
+from xfreqbench.system.workers import InThisProcess, side_by_side
 
 PARENT = """
 import sys, time
 from parallel_calls import note_and_sleep
-from xfreqbench.system.workers import LocalProcesses, exit_status, own_cores, side_by_side
+from xfreqbench.system.processes import LocalProcesses, own_cores
+from xfreqbench.system.workers import side_by_side
 if __name__ == "__main__":
-    if sys.argv[2] == "alone":
-        exit_status(note_and_sleep, sys.argv[1])
     imports = ["wave"] if sys.argv[2] == "forks" else []
     with LocalProcesses(own_cores(), imports=imports) as workers:
         for _ in side_by_side(workers, note_and_sleep, [sys.argv[1]]):
@@ -49,7 +47,8 @@ def note_and_sleep(path):
 FORKS = """
 import json, os, sys, time
 from forked_calls import look
-from xfreqbench.system.workers import LocalProcesses, all_cores, own_cores, side_by_side
+from xfreqbench.system.processes import LocalProcesses, all_cores, own_cores
+from xfreqbench.system.workers import side_by_side
 if __name__ == "__main__":
     one, both = own_cores(), all_cores()
     asked = (one, ["torch"]), (one, []), (one, ["wave"]), (both, ["torch"])
@@ -271,7 +270,7 @@ def test_an_executor_that_is_none_names_those_there_are(text: str) -> None:
         open_workers(text)
 
 
-@pytest.mark.parametrize("way", ["pool", "forks", "alone"])
+@pytest.mark.parametrize("way", ["pool", "forks"])
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
 def test_calls_end_with_the_process_that_made_them(tmp_path: Path, sent: signal.Signals, way: str) -> None:
     """Nor do their processes import a file of the working folder that has a standard name."""

@@ -21,12 +21,13 @@ from xfreqbench.errors import XFreqBenchError
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.jobs import protocol_tasks
+from xfreqbench.runs.jobs import tasks_of
 from xfreqbench.runs.records import BenchFigure, BenchPoint
 from xfreqbench.runs.run import run_jobs
 from xfreqbench.scene.model import load_scene
 from xfreqbench.system.cluster import dask_workers, is_installed, local_cluster
-from xfreqbench.system.workers import SERIAL, Workers, open_workers, side_by_side
+from xfreqbench.system.processes import SERIAL, open_workers
+from xfreqbench.system.workers import Workers, side_by_side
 from xfreqbench.tracing.tracer import Channel
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
@@ -142,7 +143,7 @@ class _Runs:
         data, results = self._folder / f"{SERIAL}.h5", self._folder / f"runs of {way}"
         dataset, methods = open_dataset(data), [(method, ()) for method in NEEDED_TRIVIAL]
         targets_ghz = LOFO_TARGETS_GHZ[:NUM_SPLITS]
-        run_jobs(protocol_tasks(str(data), dataset, methods, "lofo", targets_ghz, [0], Budget()), results, workers)
+        run_jobs(tasks_of(str(data), dataset, methods, "lofo", targets_ghz, [0], Budget()), results, workers)
         digest = hashlib.sha256()
         for path in ResultsFolder(results).predictions_paths():
             digest.update(path.name.encode() + path.read_bytes())

@@ -149,7 +149,7 @@ def generate(
     from xfreqbench.data import generate as generation
     from xfreqbench.data.fingerprint import compare_fingerprint
     from xfreqbench.data.rooms import MAX_DEPTH, RAYS
-    from xfreqbench.system.workers import require_executor
+    from xfreqbench.system.processes import require_executor
     from xfreqbench.tracing.solvers import interactions_named
     from xfreqbench.tracing.tracer import TraceSettings
 
@@ -228,7 +228,7 @@ def _generate_rooms(
     """Make a collection of rooms, or say what it would take."""
     from xfreqbench.data import rooms as generation
     from xfreqbench.system.bars import progress_bars
-    from xfreqbench.system.workers import open_workers
+    from xfreqbench.system.processes import open_workers
 
     plan = generation.plan_of_rooms(family, freqs_ghz, settings, **asked)
     if dry_run:

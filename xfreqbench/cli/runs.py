@@ -66,7 +66,7 @@ def check_method(method: str, *, set_: Overrides = ()) -> None:
     """
     from xfreqbench.errors import MethodError
     from xfreqbench.methods.check import check_method as results_of
-    from xfreqbench.system.workers import LocalProcesses, all_cores
+    from xfreqbench.system.processes import LocalProcesses, all_cores
 
     with LocalProcesses(all_cores(), is_fresh=True) as own:  # which the method may end
         results = own.submit(partial(results_of, method), set_).result()
@@ -180,7 +180,7 @@ def run(
     from xfreqbench.data.unseen_rooms import ROOM_PROTOCOLS
     from xfreqbench.runs.estimate import estimate_runs
     from xfreqbench.runs.run import asked_tasks, run_shown, usual_executor
-    from xfreqbench.system.workers import SERIAL, require_executor
+    from xfreqbench.system.processes import SERIAL, require_executor
 
     require_executor(executor or SERIAL)
     methods: dict[str | type, tuple[str, ...]] = dict.fromkeys(map(str.strip, method.split(",")), set_)
@@ -241,14 +241,14 @@ def benchmark(
     from xfreqbench.runs import benchmark as benchmarks
     from xfreqbench.runs.progress import run_bars
     from xfreqbench.system.bars import progress_bars
-    from xfreqbench.system.workers import open_workers
+    from xfreqbench.system.processes import open_workers
 
     planned = benchmarks.plan_benchmark(preset, data, results or Path("results") / preset, device, predictions)
     with benchmarks.run_workers(planned, executor) as workers:
         say(benchmarks.cost(planned, workers.num_places), quiet and not dry_run)
     if dry_run:
         return
-    with planned.alone():
+    with planned.results.alone():
         named, unit = [*planned.scenes, *planned.rooms_plans], "transmitters" if planned.scenes else "rooms"
         with progress_bars(unit, named, quiet) as tracing, open_workers(executor or "serial") as workers:
             by_scene = dict(zip(named, tracing, strict=True))

@@ -21,7 +21,7 @@ from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.data.retrace import require_origin
 from xfreqbench.data.trace import channel_by, forget_rays, traced, traced_alike, tracers_of
 from xfreqbench.data.writer import PasWriter, SampleBlock
-from xfreqbench.errors import ClusterError, XFreqBenchError
+from xfreqbench.errors import XFreqBenchError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.materials import MaterialPolicy
@@ -30,10 +30,10 @@ from xfreqbench.system.arguments import CarriersGhz, FilePath, Positions, Texts,
 from xfreqbench.system.bars import Shown, announcing, progress_bars
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_space
-from xfreqbench.system.workers import HERE, SERIAL, Workers, open_workers, side_by_side
+from xfreqbench.system.processes import SERIAL, open_workers
+from xfreqbench.system.workers import HERE, Workers, side_by_side
 from xfreqbench.tracing.solvers import interactions_named
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
-from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
@@ -149,11 +149,6 @@ def generate_planned(
     is_whole = holds_same_job(path, plan.header, plan.tx_position_m)
     if not is_whole:
         require_space(path, plan.header.num_bytes)
-        for worker, software in workers.ask(software_versions, plan.settings.solver).items():
-            if differing := differences(plan.header.software, software):
-                raise ClusterError(
-                    f"Worker {worker} traces with other software: {differing}. Install the same versions on both."
-                )
     if not is_whole or holds_batches_of(path, plan):
         try:
             with claimed_batches(path, plan) as store:

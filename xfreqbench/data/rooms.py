@@ -25,7 +25,8 @@ from xfreqbench.scene.materials import MaterialPolicy
 from xfreqbench.system.arguments import CarriersGhz, FilePath, Texts, Word, checked
 from xfreqbench.system.bars import Shown, announcing, progress_bars
 from xfreqbench.system.files import atomic_path, sole_writer, storage_errors
-from xfreqbench.system.workers import SERIAL, Workers, open_workers, side_by_side
+from xfreqbench.system.processes import SERIAL, open_workers
+from xfreqbench.system.workers import Workers, side_by_side
 from xfreqbench.tracing.solvers import interactions_named
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
 from xfreqbench.tracing.versions import PHYSICS_VERSION

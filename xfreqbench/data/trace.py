@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.errors import ClusterError, XFreqBenchError
+from xfreqbench.errors import ClusterError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import meshes_sha256
 from xfreqbench.scene.model import PolarizationPair, Scene
 from xfreqbench.scene.prepared import PreparedScene
-from xfreqbench.system.cluster import UnfitWorkerError, differences
+from xfreqbench.system.cluster import differences
 from xfreqbench.tracing.paths import Paths, RaggedPaths
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Channel, Tracer, TraceSettings
@@ -65,16 +65,11 @@ def traced(tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]]) -> Cha
 
 
 def traced_alike(tracing: Tracing, software: Mapping[str, str], batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
-    """As `traced`, for a driver with some versions of software.
-
-    Raises `UnfitWorkerError` where this process has others, or cannot prepare the scene, which the driver could.
-    """
+    """As `traced`, for a driver with some versions of software; raises `ClusterError` where this process has others."""
     if differing := differences(software, _software(tracing.settings.solver)):
-        raise UnfitWorkerError(f"traces with other software: {differing}.")
-    try:
-        _tracers(tracing)
-    except XFreqBenchError as error:
-        raise UnfitWorkerError(f"cannot prepare scene {tracing.scene.name!r}: {error}") from error
+        raise ClusterError(
+            f"A worker on {platform.node()} traces with other software: {differing}. Install the same versions on both."
+        )
     return traced(tracing, batch)
 
 

@@ -42,7 +42,7 @@ from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, write_predictions
 from xfreqbench.runs.records import Amount, Count, External, Job, RunRecord
-from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
+from xfreqbench.runs.scoring import BATCH_SIZE, record_of, scored_on_split
 from xfreqbench.system.files import exclusive, json_sha256, require_space, require_text
 from xfreqbench.types import ProgressCallback, ignore_progress
 
@@ -185,15 +185,12 @@ def _scored(part: Part, dataset: PasDataset, data: str, file_sha256: str, folder
                 dataset_sha256=dataset.sha256,
                 split_sha256=split.sha256,
             )
-            outcome = FitOutcome(
-                step=0,
-                fit_seconds=declared.fit_seconds,
-                predict_ms_per_map=declared.predict_ms_per_map,
-                parameters=declared.parameters,
-                external=External(sha256=file_sha256, hardware=declared.hardware, url=declared.url),
-            )
+            declarations = declared.model_dump(include={"fit_seconds", "predict_ms_per_map", "parameters"})
+            external = External(sha256=file_sha256, hardware=declared.hardware, url=declared.url)
+            unknown = {"config": {}, "step": 0, "peak_memory_mib": None, "hardware": {}}
             job = Job(data, declared.method, split.protocol, split.name, seed=declared.seed)
-            record = scored_record(record_id, job, dataset, split, path, outcome)
+            scored = scored_on_split(dataset, split, path)
+            record = record_of(record_id, job, scored, {**declarations, **unknown, "external": external})
             folder.append(record)
     return record
 

@@ -16,7 +16,7 @@ from typing import Any, cast
 from xfreqbench.errors import MethodError, UnknownNameError
 from xfreqbench.methods.config import OptionRow, option_rows, override
 from xfreqbench.methods.guard import method_code, readable
-from xfreqbench.system.source import reachable_sha256
+from xfreqbench.system.source import method_sha256
 
 ENTRY_POINT_GROUP, ROOM_ENTRY_POINT_GROUP = "xfreqbench.methods", "xfreqbench.room_methods"
 _CONTRACT, ROOM_CONTRACT = ("fit", "predict", "save", "load"), ("fit", "adapt", "save", "load")
@@ -178,14 +178,12 @@ def device_option(name: str, device: str) -> tuple[str, ...]:
 
 
 def code_sha256(method: object) -> str:
-    """Hash of the code that a method's `fit` and `predict` can reach; of a class in a notebook, its own text alone.
+    """Hash of a method's own package and of those of this one that methods compute with; see `method_sha256`.
 
-    It covers the modules of the method's class and of its bases, and all that they import, in whichever
-    folder: of `xfreqbench`, of the method's own package, and of files beside it that are not an installed library.
-    Libraries such as PyTorch are not part of it; their versions stand in every record.
-    `xfreqbench.system.source` says how imports are followed, and which of them cannot be seen.
+    Of a class in a notebook it is that of its own text. Libraries such as PyTorch, and packages from which no base
+    class comes, are not part of it; the versions of the libraries are in every record.
     """
-    found = reachable_sha256(base.__module__ for base in type(method).__mro__)
+    found = method_sha256(base.__module__ for base in type(method).__mro__)
     if getattr(sys.modules.get(type(method).__module__), "__file__", None):
         return found
     with suppress(OSError, TypeError):  # a class typed into a plain shell has no text

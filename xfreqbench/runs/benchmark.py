@@ -26,24 +26,15 @@ from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.registry import build_method, device_option, room_method_names
 from xfreqbench.runs.estimate import in_hours
 from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.jobs import Task, protocol_tasks
+from xfreqbench.runs.jobs import Task, tasks_of
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 from xfreqbench.runs.progress import RunProgress
 from xfreqbench.runs.records import BenchRecord, Job
-from xfreqbench.runs.rooms import RoomTask, room_tasks
 from xfreqbench.runs.run import imports_of, run_jobs
 from xfreqbench.scene.model import load_scene
-from xfreqbench.system.files import require_text, sole_worker
-from xfreqbench.system.workers import (
-    HERE,
-    SERIAL,
-    LocalProcesses,
-    Workers,
-    all_cores,
-    exit_status,
-    open_workers,
-    own_cores,
-)
+from xfreqbench.system.files import require_text
+from xfreqbench.system.processes import SERIAL, LocalProcesses, all_cores, open_workers, own_cores
+from xfreqbench.system.workers import HERE, Workers
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.types import ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
@@ -147,7 +138,7 @@ class Benchmark:
         by_job = {
             task.job: task for block in self.preset.blocks for task in self._tasks_of(block, datasets[block.scene])
         }
-        fits = {task: task.fit_id if isinstance(task, RoomTask) else task.id for task in by_job.values()}
+        fits = {task: task.fit_id for task in by_job.values()}
         first = {fit: task for task, fit in reversed(fits.items())}
         return sorted(fits, key=lambda task: first[fits[task]] is not task)
 
@@ -157,18 +148,12 @@ class Benchmark:
             for setting in block.settings
         ]
         path, budget = str(self.data_path(block.scene)), parse_budget(block.budget)
-        if isinstance(data, Collection):
-            return room_tasks(path, data, methods, block.protocol, block.seeds, budget)
-        return protocol_tasks(path, data, methods, block.protocol, block.targets_ghz, block.seeds, budget)
+        return tasks_of(path, data, methods, block.protocol, block.targets_ghz, block.seeds, budget)
 
     def missing_benches(self) -> list[str]:
         """The measurements that have no record yet."""
         known = {record.bench for record in self.results.stored.benches}
         return [name for name in self.preset.benches if name not in known]
-
-    def alone(self) -> AbstractContextManager[str]:
-        """Hold the folder of results; raises `StorageError` where another benchmark does, which would run the same."""
-        return sole_worker(self.results.lock_path, self.results_dir)
 
     def keeps_predictions(self, job: Job) -> bool:
         """Whether the predictions of a job stay after they were scored."""
@@ -287,16 +272,22 @@ def measure(benchmark: Benchmark, name: str) -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         measured = ResultsFolder(Path(folder))
         command = [*BENCH_COMMANDS[name][0], "--output", str(measured.records_path)]
-        status = exit_status(_command, command)
-        for record in measured.stored.benches if status == 0 else ():
+        with LocalProcesses(all_cores(), is_fresh=True) as own:
+            ended = own.submit(_command, command)
+        status = ended.exception() or ended.result()
+        for record in () if status else measured.stored.benches:
             benchmark.results.append(record)
     return [f"`xfreqbench {' '.join(command[:-2])}` ended with {status}; see above"] if status else []
 
 
-def _command(arguments: list[str]) -> None:
-    """Run the command line in this process, as `python -m xfreqbench.cli` does."""
+def _command(arguments: list[str]) -> str | int | None:
+    """Run the command line in this process, as `python -m xfreqbench.cli` does; returns its exit status."""
     sys.argv[1:] = arguments
-    run_module("xfreqbench.cli", run_name="__main__", alter_sys=True)
+    try:
+        run_module("xfreqbench.cli", run_name="__main__", alter_sys=True)
+    except SystemExit as ended:
+        return ended.code
+    return 0
 
 
 def record_contents(benchmark: Benchmark) -> None:

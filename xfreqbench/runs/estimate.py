@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from xfreqbench.data.unseen_rooms import RoomSplit
 from xfreqbench.methods.rooms import PerRoom
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task
 from xfreqbench.runs.records import Job
-from xfreqbench.runs.rooms import RoomTask
-from xfreqbench.system.workers import SERIAL, require_executor
+from xfreqbench.system.processes import SERIAL, require_executor
 
 OVERHEAD_S = 13.0  # what a run takes besides its fit: start, learning curve, predictions and scores
 LONG_S = 600.0
@@ -68,8 +68,9 @@ def estimate_runs(tasks: Sequence[Task], results_dir: Path, executor: str = SERI
     left = [task for task in tasks if folder.finished(task.id) is None]
     across, num_fits = set[str](), []
     for task in left:
-        if not isinstance(task, RoomTask) or isinstance(task.method, PerRoom):  # which is fitted in each room
-            num_fits.append(len(task.split.rooms) if isinstance(task, RoomTask) else 1)
+        rooms = task.split.rooms if isinstance(task.split, RoomSplit) else None
+        if rooms is None or isinstance(task.method, PerRoom):  # which is fitted in each room
+            num_fits.append(len(rooms) if rooms is not None else 1)
         else:
             num_fits.append(0 if task.fit_id in across else 1)
             across.add(task.fit_id)

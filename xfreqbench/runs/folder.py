@@ -3,8 +3,8 @@
 records.jsonl            one line for each run and for each table of a measurement
 records_maps.jsonl       maps of a dozen samples, shown where predictions are not beside the records
 predictions/ID.h5        the predicted maps of the run whose record has that id
-predictions/ID.lock      exists while that run is made, and names the process that asked for it
-benchmark.lock           exists while a benchmark fills the folder
+predictions/ID.lock      exists while that run is made, and names the process that makes it
+driver.lock              exists while a process runs jobs in the folder, and names it
 checkpoints/ID/NUMBER/   how far the fit of that run has come, until its record is stored
 methods/ID/NUMBER/       the method as that run fitted it
 """
@@ -77,7 +77,7 @@ class ResultsFolder:
         append(self.records_path, record)
 
     def keep(self, record: RunRecord, with_predictions: bool = True) -> RunRecord:
-        """Store the record of a run whose `lock` is held, and remove the run's checkpoints; returns what was stored.
+        """Store the record of a run, and remove the run's checkpoints; returns what was stored.
 
         Without predictions their file is removed after that, and the record has its hash. Raises `ClusterError` where
         the predictions are not here: a worker has lost this folder and uses its own disk.
@@ -100,11 +100,6 @@ class ResultsFolder:
             with storage_errors(path):
                 path.unlink()
         return record
-
-    @property
-    def lock_path(self) -> Path:
-        """What a benchmark that fills the folder holds, so that no second one does the same runs."""
-        return self.path / "benchmark.lock"
 
     @property
     def maps_path(self) -> Path:
@@ -141,24 +136,26 @@ class ResultsFolder:
         """The checkpoints of the run whose record will have that id."""
         return CheckpointFolder(self.path / _CHECKPOINTS / record_id, record_id)
 
-    def fitted(self, record_id: str) -> CheckpointFolder:
-        """The method that the run with an id has fitted."""
-        path = self.path / _METHODS / record_id
-        advice = f"Delete {self.predictions_path(record_id)} and {path}, and run the same again, which stores both."
-        return CheckpointFolder(path, record_id, "method", advice)
-
-    def fitted_across_rooms(self, fit_id: str) -> CheckpointFolder:
-        """The method that several runs share, which is fitted to rooms."""
+    def fitted(self, fit_id: str) -> CheckpointFolder:
+        """The method as a fit has left it: that of the run with that id, or of several that share it."""
         path = self.path / _METHODS / fit_id
-        return CheckpointFolder(path, fit_id, "method", f"Delete {path} and run the same again, which fits anew.")
+        predictions = self.predictions_path(fit_id)
+        also = f"{predictions} and " if predictions.exists() else ""
+        return CheckpointFolder(
+            path, fit_id, "method", f"Delete {also}{path}, and run the same again, which fits anew."
+        )
 
-    def run_lock_path(self, record_id: str) -> Path:
-        """The file of `lock`, which holds what that yields as long as the lock is held."""
-        return self.predictions_path(record_id).with_suffix(".lock")
+    def alone(self) -> AbstractContextManager[str]:
+        """Hold the folder, as the one process that runs jobs in it; raises `InUseError` where another one does."""
+        return sole_worker(self.path / "driver.lock", self.path)
 
     def lock(self, record_id: str) -> AbstractContextManager[str]:
-        """A lock that whoever asks for a run holds until its record is stored; see `sole_worker`."""
+        """A lock that whoever makes a run or a fit holds while it writes for it; see `sole_worker`."""
         return sole_worker(self.run_lock_path(record_id), self.predictions_path(record_id))
+
+    def run_lock_path(self, record_id: str) -> Path:
+        """The file of `lock`."""
+        return self.predictions_path(record_id).with_suffix(".lock")
 
     def require_writable(self) -> None:
         """Make the folders; raises `StorageError` where a record or predictions could not be stored in them."""

@@ -4,41 +4,60 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from xfreqbench.data.collection import Collection
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.fingerprint import require_fingerprint
 from xfreqbench.data.splits import ScoredOn, Split, TargetsGhz, left_out, make_splits
+from xfreqbench.data.unseen_rooms import RoomSplit, room_splits
 from xfreqbench.errors import MethodError
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.methods.config import as_json
-from xfreqbench.methods.contract import Budget, Method, ReceiverMethod, RoomMethod
+from xfreqbench.methods.contract import Budget, ReceiverMethod, RoomMethod
 from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, code_sha256
+from xfreqbench.methods.rooms import build_room_method
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import Job
 from xfreqbench.system.files import json_sha256
 
 
+@dataclass(frozen=True)
+class Question:
+    """What a fitted method is asked: the maps of the samples `asked`, given the samples `heard` of the same room.
+
+    `heard` is None where the method was fitted to that room. `place` says in errors where it is.
+    """
+
+    asked: PasDataset
+    heard: PasDataset | None
+    place: str
+
+
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A job with its split, its data set, and its method, which stays untrained; see `new_method`.
+    """A job with its split, its data, and its method, which stays untrained; see `new_method`.
 
     It is pickled without data set and method; where it arrives, they are opened and built when they are asked for.
     """
 
     job: Job
-    split: Split
-    dataset_path: Path
+    split: Split | RoomSplit
+    path: Path
 
     @classmethod
-    def of(cls, job: Job, dataset: PasDataset, split: Split) -> Task:
-        """The task of a job on an opened data set; raises what `build_method` raises, and `MethodError`."""
-        task = cls(job, split, dataset.path)
-        task.__dict__.update(dataset=dataset, method=task.new_method())
+    def of(cls, job: Job, opened: PasDataset | Collection, split: Split | RoomSplit) -> Task:
+        """The task of a job on opened data; raises what `build_method` raises, and `MethodError`."""
+        task = cls(job, split, opened.path)
+        _ = task.method  # or what is wrong with it
+        if isinstance(split, RoomSplit):
+            return task
+        task.__dict__["dataset"] = opened
         if isinstance(task.method, RoomMethod):
             raise MethodError(
                 f"Method {job.method!r} learns across rooms, and has no `predict` of its own. Run it on a collection "
@@ -54,15 +73,15 @@ class Task:
         return task
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Task, (self.job, self.split, self.dataset_path)
+        return Task, (self.job, self.split, self.path)
 
     @cached_property
     def dataset(self) -> PasDataset:
-        """The data set; raises `DataError`."""
-        return open_dataset(self.dataset_path, self.job.receiver, self.job.polarization)
+        """The data set, where the split is one of a data set; raises `DataError`."""
+        return open_dataset(self.path, self.job.receiver, self.job.polarization)
 
     @cached_property
-    def method(self) -> Method:
+    def method(self) -> Any:
         """The method, untrained; raises what `build_method` raises."""
         return self.new_method()
 
@@ -74,27 +93,34 @@ class Task:
     @cached_property
     def code_sha256(self) -> str:
         """Hash of the code that the method's results depend on."""
-        return code_sha256(self.method)
+        return code_sha256(getattr(self.method, "built", self.method))
 
     @cached_property
     def id(self) -> str:
         """Hash of everything that determines the result, 16 hexadecimal digits: the id of the record."""
-        content = [
-            self.dataset.sha256,
-            self.job.method,
-            self.code_sha256,
-            self.config,
-            self.job.protocol,
-            self.split.sha256,
-            self.job.seed,
-            asdict(self.job.budget),
-            METRICS_VERSION,
-        ]
+        if isinstance(self.split, RoomSplit):
+            return self._hash(self.split.sha256, METRICS_VERSION)
+        method = self.job.method, self.code_sha256, self.config
+        split = self.job.protocol, self.split.sha256
+        content = [self.dataset.sha256, *method, *split, self.job.seed, asdict(self.job.budget), METRICS_VERSION]
+        return json_sha256(content)[:16]
+
+    @cached_property
+    def fit_id(self) -> str:
+        """The same for the fit: `id`, but for rooms, where several jobs share one."""
+        if isinstance(self.split, RoomSplit):
+            return self._hash("fit", *(room.sha256 for room in self.split.collection.part("train").rooms))
+        return self.id
+
+    def _hash(self, *more: str) -> str:
+        content = [self.job.method, self.code_sha256, self.config, self.job.seed, asdict(self.job.budget), *more]
         return json_sha256(content)[:16]
 
     @property
     def notes(self) -> list[str]:
         """What a user may not expect: tested carriers outside of the training band, absent splits, one link of many."""
+        if isinstance(self.split, RoomSplit):
+            return []
         receivers = () if self.split.receivers else self.dataset.receivers
         axes = zip(
             ("receiver", "polarization"), self.dataset.link_names, (receivers, self.dataset.polarizations), strict=True
@@ -109,29 +135,39 @@ class Task:
 
     @property
     def files(self) -> dict[Path, str]:
-        """The files that every worker has to find, with their hashes."""
-        return {self.dataset_path: self.dataset.file_sha256}
+        """The data sets that every worker has to find, with their hashes; rooms are compared when they are opened."""
+        return {} if isinstance(self.split, RoomSplit) else {self.path: self.dataset.file_sha256}
 
-    def require_data(self) -> None:
-        """Check every byte of the data set, and the fingerprints of its recipe; raises `XFreqBenchError`."""
-        verify(self.dataset_path)
-        require_fingerprint(self.dataset)
+    def training_part(self) -> PasDataset | Collection:
+        """What the method is fitted to, as copies that it may change."""
+        if isinstance(self.split, RoomSplit):
+            return deepcopy(self.split.collection.part("train"))
+        return self.split.training_part(self.dataset)
+
+    def questions(self) -> Iterator[Question]:
+        """What the fitted method is asked: the test rows of a data set, or what is asked in each room in turn."""
+        if isinstance(self.split, RoomSplit):
+            for question in self.split.questions():
+                yield Question(question.asked, question.heard, f"in room {question.room.path.name}")
+        else:
+            yield Question(self.dataset.subset(self.split.test), None, f"on split {self.split.name!r}")
 
     def new_method(self) -> Any:
-        """Another untrained `Method`, to be fitted: what it learns is freed with it, while tasks live longer."""
-        return build_method(self.job.method, self.job.overrides)
+        """Another untrained method, to be fitted: what it learns is freed with it, while tasks live longer."""
+        build = build_room_method if isinstance(self.split, RoomSplit) else build_method
+        return build(self.job.method, self.job.overrides)
 
     @contextmanager
-    def method_errors(self, part: str) -> Iterator[None]:
+    def method_errors(self, part: str, place: str = "") -> Iterator[None]:
         """Turn whatever the method raises in `part`, such as "fit", into a `MethodError` that says where."""
-        failed = f"Method {self.job.method!r} failed in {part} on split {self.split.name!r}:"
+        failed = f"Method {self.job.method!r} failed in {part} {place or f'on split {self.split.name!r}'}:"
         with method_code(failed, "Fix it and run the same command again; finished jobs are kept."):
             yield
 
 
-def protocol_tasks(
+def tasks_of(
     data: str,
-    dataset: PasDataset,
+    opened: PasDataset | Collection,
     methods: Sequence[tuple[str, tuple[str, ...]]],
     protocol: str,
     targets_ghz: TargetsGhz,
@@ -141,17 +177,22 @@ def protocol_tasks(
 ) -> list[Task]:
     """One task for each method, seed and split, in that order of nesting; the splits are made once.
 
-    `data` is the path of `dataset` as the records name it. `methods` are names with `key=value` texts for their
+    `data` is the path of `opened` as the records name it. `methods` are names with `key=value` texts for their
     options; `targets_ghz` and `on` are those of `make_splits`. Raises `UnknownNameError`, `ProtocolError` and
     `MethodError`.
     """
-    splits = make_splits(dataset, protocol, targets_ghz, on)
-    return [
-        Task.of(Job(data, name, split.protocol, split.name, options, seed, budget, *dataset.link_names), dataset, split)
-        for name, options in methods
-        for seed in seeds
-        for split in splits
-    ]
+    if isinstance(opened, Collection):
+        splits: Sequence[Split | RoomSplit] = room_splits(opened, protocol, on)
+        link: tuple[str | None, ...] = ()
+    else:
+        splits, link = make_splits(opened, protocol, targets_ghz, on), opened.link_names
+    tasks = []
+    for name, options in methods:
+        for seed in seeds:
+            for split in splits:
+                job = Job(data, name, split.protocol, split.name, options, seed, budget, *link)
+                tasks.append(Task.of(job, opened, split))
+    return tasks
 
 
 def require_importable(tasks: Sequence[Task]) -> None:
@@ -171,7 +212,8 @@ def require_runnable(tasks: Sequence[Task], folder: ResultsFolder) -> None:
     says what is wrong.
     """
     for task in tasks:
-        folder.checkpoints(task.id).read()
+        folder.checkpoints(task.fit_id).read()
     folder.require_writable()
-    for task in {task.dataset_path: task for task in tasks}.values():
-        task.require_data()
+    for path, dataset in {path: task.dataset for task in tasks for path in task.files}.items():
+        verify(path)
+        require_fingerprint(dataset)

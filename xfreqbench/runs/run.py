@@ -11,18 +11,20 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from functools import partial
+from math import nan
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 from uuid import uuid4
 
+import numpy as np
 from pydantic import BeforeValidator, InstanceOf
 
 from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.splits import HELD_OUT_RECEIVER, ScoredOn, TargetsGhz
-from xfreqbench.data.unseen_rooms import ROOM_PROTOCOLS
+from xfreqbench.data.unseen_rooms import ROOM_PROTOCOLS, RoomSplit
 from xfreqbench.errors import (
     ClusterError,
     DataError,
@@ -33,27 +35,26 @@ from xfreqbench.errors import (
     XFreqBenchError,
     was_interrupted,
 )
-from xfreqbench.methods.contract import Budget, Method, parse_budget
+from xfreqbench.methods.contract import Budget, parse_budget
 from xfreqbench.methods.fitting import Fit, Stopwatch, checked_findings, checked_maps, checked_num_parameters
 from xfreqbench.methods.registry import device_option, method_names, name_of, require_installed, room_method_names
 from xfreqbench.runs.estimate import estimate_runs
-from xfreqbench.runs.fit import FitProgress, TaskFit
+from xfreqbench.runs.fit import FitProgress, fitted
 from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.jobs import Task, protocol_tasks, require_importable, require_runnable
-from xfreqbench.runs.predictions import MapBatch, fault_of_maps, require_no_others, write_predictions
+from xfreqbench.runs.jobs import Question, Task, require_importable, require_runnable, tasks_of
+from xfreqbench.runs.predictions import SCHEMA, MapBatch, fault_of_maps, require_no_others, write_predictions
 from xfreqbench.runs.progress import RunProgress, run_bars
 from xfreqbench.runs.records import Job, RunRecord
-from xfreqbench.runs.rooms import RoomTask, room_tasks, run_in_rooms
-from xfreqbench.runs.scoring import BATCH_SIZE, FitOutcome, scored_record
+from xfreqbench.runs.rooms import ROOM_SCHEMA, ROOM_SECONDS, RoomAnswer, kept_answer, scored_in_rooms, write_answers
+from xfreqbench.runs.scoring import BATCH_SIZE, record_of, scored_on_split
 from xfreqbench.system import machine
 from xfreqbench.system.arguments import FilePath, Texts, WholeNumbers, Word, checked, listed
 from xfreqbench.system.bars import Shown, announcing
-from xfreqbench.system.cluster import UnfitWorkerError
-from xfreqbench.system.files import read_text, storage_errors
-from xfreqbench.system.source import Known, known_sources, remember_sources
-from xfreqbench.system.workers import HERE, SERIAL, LocalProcesses, Workers, open_workers, send_message, side_by_side
+from xfreqbench.system.files import storage_errors
+from xfreqbench.system.processes import SERIAL, open_workers, send_message
+from xfreqbench.system.workers import HERE, Workers, side_by_side
+from xfreqbench.types import Maps
 
-_LOOK_S = 0.5  # between two looks at what other processes are at
 _sent_s = 0.0
 Options = Texts | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
 Methods = Annotated[Sequence[str | type], BeforeValidator(listed)] | Mapping[str | type, Options]
@@ -138,13 +139,14 @@ def asked_tasks(
     for name in options_by_name:  # before any of them is imported, which takes seconds
         require_installed(name)
     named = [(name, (*options, *device_option(name, device))) for name, options in options_by_name.items()]
+    asked = named, protocol, targets_ghz, seeds, limit, on
     if protocol in ROOM_PROTOCOLS:
         chosen = {"target carrier": targets_ghz, "receiver": receiver, "polarization": polarization}
         for what, value in chosen.items():
             if value is not None:
                 raise ProtocolError(f"Protocol {protocol!r} has no {what} to choose, but got {value!r}. Leave it out.")
         rooms = data if isinstance(data, Collection) else open_collection(data)
-        return [*room_tasks(str(rooms.path), rooms, named, protocol, seeds, limit, on)]
+        return tasks_of(str(rooms.path), rooms, *asked)
     if isinstance(data, Collection):
         raise XFreqBenchError(
             f"Protocol {protocol!r} splits one data set; a collection takes {', '.join(ROOM_PROTOCOLS)}."
@@ -153,8 +155,7 @@ def asked_tasks(
     tested = [dataset]
     if protocol == HELD_OUT_RECEIVER and receiver is None and dataset.receivers:
         tested = [dataset.at(name) for name in dataset.receivers]
-    asked = named, protocol, targets_ghz, seeds, limit, on
-    return [task for part in tested for task in protocol_tasks(str(data), part, *asked)]
+    return [task for part in tested for task in tasks_of(str(data), part, *asked)]
 
 
 def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:
@@ -210,9 +211,9 @@ def run_jobs(
     """Run jobs and store their records in `results_dir`; returns the records, in the order of the jobs.
 
     `workers` run as many at a time as they have places; without any, this process runs one after the other. A job
-    that is finished in the folder is not run again, one that another process is at is waited for, which is told on
-    stderr, and a fit that was killed goes on from its last checkpoint. Everything that can be checked is checked before
-    the first fit, and raises the `XFreqBenchError` that it is: `ClusterError` for workers that do not see the data sets
+    that is finished in the folder is not run again, and a fit that was killed goes on from its last checkpoint.
+    Everything that can be checked is checked before the first fit, and raises the `XFreqBenchError` that it is:
+    `InUseError` where another process runs jobs in the folder, `ClusterError` for workers that do not see the data sets
     and `results_dir` as this process does.
 
     A job that fails stops no other. At the end `RunsFailedError` names those that failed; the records of the others are
@@ -239,63 +240,34 @@ def run_jobs(
         if progress:
             progress(done, len(asked), task.job, record)
 
-    for task in asked.values():
-        if record := folder.finished(task.id):
-            with suppress(InUseError), folder.lock(task.id):
-                folder.checkpoints(task.id).remove()  # may be left of a process that was killed
-            end(task, record)
-    missing = [task for task in asked.values() if task.id not in records]
-    if workers is HERE:
-        call = partial(_run_claimed, folder=folder, fitting=fitting)
-    else:
-        sources = known_sources() if isinstance(workers, LocalProcesses) else {}
-        call = partial(_run_claimed, folder=ResultsFolder(folder.path), fitting=_send_fit, sources=sources)
-        require_shared_folder(workers, folder.path)
-        require_shared_datasets(workers, {path: sha256 for task in missing for path, sha256 in task.files.items()})
-    locks, announced = dict[str, ExitStack](), set[str]()
-
-    def claimed(tasks: Sequence[Task], elsewhere: dict[str, str]) -> Iterator[_Claim]:
-        """The tasks that no other process is at, each locked; of those in `elsewhere` it says which process is."""
-        for task in tasks:
-            with ExitStack() as lock:
-                try:
-                    holder = lock.enter_context(folder.lock(task.id))
-                except InUseError as error:
-                    elsewhere[task.id] = str(error)
-                    continue
-                if record := folder.finished(task.id):  # made by another process in the meantime
-                    end(task, record)
-                    continue
-                locks[task.id] = lock.pop_all()
-            yield _Claim(task, task.id, holder)
-
-    while missing:
-        elsewhere = dict[str, str]()
-        try:
-            for claim, ended in side_by_side(workers, call, claimed(missing, elsewhere)):
-                error = ended.exception()
-                if was_interrupted(error):
-                    raise KeyboardInterrupt from error
-                task, record = claim.task, None if error else ended.result()
-                if record:
-                    try:
-                        record = folder.keep(record, keeps_predictions(task.job))
-                    except XFreqBenchError as lost:
-                        error, record = lost, None
-                if error:
-                    errors[_words(task) if _words(task) not in errors else f"{_words(task)} ({task.id})"] = error
-                locks.pop(task.id).close()
+    with folder.alone():
+        for task in asked.values():
+            if record := folder.finished(task.id):
+                with suppress(InUseError), folder.lock(task.id):
+                    folder.checkpoints(task.id).remove()  # may be left of a process that was killed
                 end(task, record)
-        finally:
-            for lock in locks.values():
-                lock.close()
-        missing = [task for task in missing if task.id in elsewhere]
-        if missing:
-            waits = elsewhere[missing[0].id]
-            if waits not in announced:
-                print(f"xfreqbench: {waits}", file=sys.stderr, flush=True)
-            announced.add(waits)
-            time.sleep(_LOOK_S)
+        missing = [task for task in asked.values() if task.id not in records]
+        if workers is HERE:
+            call = partial(run_task, folder=folder, fitting=fitting)
+        else:
+            call = partial(run_task, folder=ResultsFolder(folder.path), fitting=_send_fit)
+            require_shared_folder(workers, folder.path)
+            require_shared_datasets(workers, {path: sha256 for task in missing for path, sha256 in task.files.items()})
+        for task, ended in side_by_side(workers, call, missing):
+            error = ended.exception()
+            if was_interrupted(error):
+                raise KeyboardInterrupt from error
+            record = None
+            if error is None:
+                try:
+                    record = folder.keep(_of_same_code(task, ended.result()), keeps_predictions(task.job))
+                except XFreqBenchError as lost:
+                    error = lost
+            if error:
+                with suppress(InUseError), folder.lock(task.id):
+                    pass  # the file of a worker that was killed is removed
+                errors[_words(task) if _words(task) not in errors else f"{_words(task)} ({task.id})"] = error
+            end(task, record)
     if errors:
         raise RunsFailedError(errors, len(asked))
     return [records[task.id] for task in tasks]
@@ -307,30 +279,13 @@ def _words(task: Task) -> str:
     return f"{' '.join([job.method, *job.overrides])} on {job.split} of {Path(job.dataset).name}, seed {job.seed}"
 
 
-class _Claim(NamedTuple):
-    """A task with its id and the text of its lock, as the process has them that holds the lock."""
-
-    task: Task
-    id: str
-    holder: str
-
-
-def _run_claimed(
-    claim: _Claim, folder: ResultsFolder, fitting: FitProgress | None = None, sources: Known | None = None
-) -> RunRecord:
-    """The record of a task, run here for the process that holds its lock, which stores the record.
-
-    `sources` are those that the other process knows, if it is on this machine.
-    Raises `UnfitWorkerError` where this process finds another folder, other data or other code at the same names.
-    """
-    remember_sources(sources or {})
-    _require_same(claim, folder)
-    require_claim = _takeover_check(folder.run_lock_path(claim.id), claim.holder)
-    if isinstance(claim.task, RoomTask):
-        record = run_in_rooms(claim.task, folder, fitting, require_claim)
-    else:
-        record = run_one(claim.task, folder, fitting, require_claim)
-    _require_same(claim, folder)
+def _of_same_code(task: Task, record: RunRecord) -> RunRecord:
+    """The record of a task; raises `ClusterError` where its worker had other code or other data than this process."""
+    if record.id != task.id:
+        raise ClusterError(
+            f"A worker has other code of method {task.job.method!r}, or other data at {task.path}. Nothing of it is "
+            "recorded; restart it with the same code and data."
+        )
     return record
 
 
@@ -342,112 +297,89 @@ def _send_fit(job: Job, fit: Fit) -> None:
         _sent_s = time.perf_counter()
 
 
-def _require_same(claim: _Claim, folder: ResultsFolder) -> None:
-    path, task = folder.run_lock_path(claim.id), claim.task
-    try:
-        sees = read_text(path).split("\n")[0] == claim.holder and os.access(path.parent, os.W_OK)
-    except OSError:
-        sees = False
-    if not sees:
-        raise UnfitWorkerError(f"does not see {folder.path} as the driver does, or may not write there.")
-    try:
-        is_same, fault = task.id == claim.id, ""
-    except XFreqBenchError as error:
-        is_same, fault = False, f": {error}"
-    if not is_same:
-        raise UnfitWorkerError(
-            f"has other code of method {task.job.method!r}, or other data at {task.dataset_path}{fault}. Restart it "
-            "with the same code and data."
-        )
-
-
-def _takeover_check(lock: Path, holder: str) -> Callable[[], None]:
-    """Write into a lock that this process is at its run; what is returned raises `ClusterError` once another one is.
-
-    A worker that was suspended, and taken for dead, goes on when the same run is made, or was made, by another.
-    """
-    text = f"{holder}\n{uuid4().hex}"
-    with storage_errors(lock), lock.open("r+", encoding="utf-8") as file:
-        file.write(text)
-        file.truncate()
-
-    def require_claim() -> None:
-        with suppress(FileNotFoundError):
-            if read_text(lock) == text:
-                return
-        raise ClusterError("Another worker has taken over this run; nothing more of it is stored.")
-
-    return require_claim
-
-
-def run_one(
-    task: Task, folder: ResultsFolder, fitting: FitProgress | None, require_claim: Callable[[], None]
-) -> RunRecord:
+def run_task(task: Task, folder: ResultsFolder, fitting: FitProgress | None = None) -> RunRecord:
     """Fit, store the method, predict, store the predictions, and score what was stored; the record of all that.
 
-    Somebody holds `folder.lock(task.id)`, stores the record and then removes the checkpoints, which stay until
-    then: a job without a record is unfinished. `require_claim` is called before anything is stored.
+    The caller stores the record and then removes the checkpoints, which stay until then: a job without a record is
+    unfinished. Raises `InUseError` where another process is at the same job, such as a worker that lost its driver.
     """
-    path = folder.predictions_path(task.id)
-    require_no_others(path)
-    kept = folder.fitted(task.id)
-    kept.remove()  # what a run that was killed has left
-    task_fit = TaskFit(task, folder.checkpoints(task.id), fitting, require_claim)
-    machine.reset_peak_memory()
-    fit = task_fit.run()
-    require_claim()
-    method, clock = task_fit.method, Stopwatch()
-    with task.method_errors("save"):
-        kept.write(method, fit, task_fit.curve)
-    write_predictions(
-        path,
-        _predicted(task, method, clock, require_claim),
-        num_rows=len(task.split.test),
-        grid_shape=task.dataset.grid.shape,
-        dataset_sha256=task.dataset.sha256,
-        split_sha256=task.split.sha256,
-    )
-    with task.method_errors("num_parameters"):
-        parameters = checked_num_parameters(method)
-    with task.method_errors("findings"):
-        findings = checked_findings(method)
-    outcome = FitOutcome(
-        config=task.config,
-        step=fit.step,
-        fit_seconds=fit.seconds,
-        fit_processor_seconds=fit.processor_seconds,
-        predict_ms_per_map=clock.seconds / len(task.split.test) * 1e3,
-        peak_memory_mib=machine.peak_memory_mib(),
-        parameters=parameters,
-        hardware=machine.hardware(),
-        counts=fit.counts,
-        curve=task_fit.curve,
-        code_sha256=task.code_sha256,
-        findings=findings,
-    )
-    return scored_record(task.id, task.job, task.dataset, task.split, path, outcome)
+    path, split = folder.predictions_path(task.id), task.split
+    require_no_others(path, ROOM_SCHEMA if isinstance(split, RoomSplit) else SCHEMA)
+    with folder.lock(task.id):
+        machine.reset_peak_memory()
+        method, fit, curve = fitted(task, folder, fitting)
+        counts = dict(fit.counts)
+        if isinstance(split, RoomSplit):
+            answers = _answers_in_rooms(task, split, method, folder.checkpoints(task.id).path, fitting)
+            write_answers(path, split, answers)
+            counts[ROOM_SECONDS] = float(np.median([answer.seconds + answer.predict_seconds for answer in answers]))
+            predict_s, scored = sum(answer.predict_seconds for answer in answers), scored_in_rooms(split, path)
+        else:
+            clock, (question,) = Stopwatch(), task.questions()
+            hashes = {"dataset_sha256": task.dataset.sha256, "split_sha256": split.sha256}
+            maps = _predicted(task, method, question, clock, BATCH_SIZE)
+            write_predictions(path, maps, num_rows=len(split.test), grid_shape=task.dataset.grid.shape, **hashes)
+            predict_s, scored = clock.seconds, scored_on_split(task.dataset, split, path)
+        with task.method_errors("num_parameters"):
+            parameters = checked_num_parameters(method)
+        with task.method_errors("findings"):
+            findings = checked_findings(method)
+    outcome = {
+        "config": task.config,
+        "step": fit.step,
+        "fit_seconds": fit.seconds,
+        "fit_processor_seconds": fit.processor_seconds,
+        "predict_ms_per_map": predict_s / scored["num_test"] * 1e3,
+        "peak_memory_mib": machine.peak_memory_mib(),
+        "parameters": parameters,
+        "hardware": machine.hardware(),
+        "counts": counts,
+        "curve": curve,
+        "code_sha256": task.code_sha256,
+        "findings": findings,
+    }
+    return record_of(task.id, task.job, scored, outcome)
 
 
-def _predicted(task: Task, method: Method, clock: Stopwatch, require_claim: Callable[[], None]) -> Iterator[MapBatch]:
-    """Rows and predicted maps of the split's test rows, batch by batch; `clock` runs within `predict` alone.
+def _answers_in_rooms(
+    task: Task, split: RoomSplit, method: Any, kept: Path, fitting: FitProgress | None
+) -> list[RoomAnswer]:
+    """What a method predicts in every room, to which it is adapted; rooms that are done are kept in a folder."""
+    rooms, started_s, answers = split.rooms.rooms, time.perf_counter(), list[RoomAnswer]()
+    for room, question in zip(rooms, task.questions(), strict=True):
 
-    Raises `MethodError` for the first map that no file of predictions may hold. `require_claim` is called at the
-    end, before the file gets its name.
+        def answered(question: Question = question) -> tuple[Maps, float, float]:
+            adapting, predicting = Stopwatch(), Stopwatch()
+            with task.method_errors("adapt", question.place), adapting:
+                predictor = method.adapt(question.heard, task.job.budget)
+            ((_, maps),) = _predicted(task, predictor, question, predicting, len(question.asked))
+            return maps, adapting.seconds, predicting.seconds
+
+        answers.append(kept_answer(kept / f"room-{room.sha256[:16]}.npz", question.asked, answered))
+        if fitting:
+            share = len(answers) / len(rooms)
+            fitting(task.job, Fit(len(answers), nan, time.perf_counter() - started_s, share))
+    return answers
+
+
+def _predicted(task: Task, predictor: Any, question: Question, clock: Stopwatch, size: int) -> Iterator[MapBatch]:
+    """Rows and predicted maps of what is asked, `size` at a time; `clock` runs within `predict` alone.
+
+    Raises `MethodError` for the first map that no file of predictions may hold.
     """
-    test = task.dataset.subset(task.split.test)
-    for start in range(0, len(test), BATCH_SIZE):
-        part = slice(start, start + BATCH_SIZE)
-        rows, asked = task.split.test[part], (test.tx_position_m[part], test.carrier_hz[part])
-        with task.method_errors("predict"), clock:
-            maps = method.predict(*asked)
-        maps = checked_maps(method, maps, (len(rows), *test.grid.shape))
+    asked, position_m, carrier_hz = question.asked, question.asked.tx_position_m, question.asked.carrier_hz
+    for start in range(0, len(asked), size):
+        part = slice(start, start + size)
+        with task.method_errors("predict", question.place), clock:
+            maps = predictor.predict(position_m[part].copy(), carrier_hz[part].copy())
+        rows = asked.rows[part]
+        maps = checked_maps(predictor, maps, (len(rows), *asked.grid.shape))
         if fault := fault_of_maps(maps):
             raise MethodError(
-                f"Method {task.job.method!r} failed in predict on split {task.split.name!r}: the map of row "
-                f"{rows[fault[0]]} {fault[1]}"
+                f"Method {task.job.method!r} failed in predict {question.place}: the map of row {rows[fault[0]]} "
+                f"{fault[1]}"
             )
         yield rows, maps
-    require_claim()
 
 
 def require_shared_folder(workers: Workers, folder: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from xfreqbench.data.splits import Split
 from xfreqbench.errors import ArgumentError, DataError
 from xfreqbench.maps.metrics import METRICS_VERSION, quantiles, score_all
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, read_predictions
-from xfreqbench.runs.records import NUM_QUANTILES, CurvePoint, External, Job, RunRecord, Summary, utc_now
+from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord, Summary, utc_now
 from xfreqbench.system import machine
 from xfreqbench.system.arguments import checked
 from xfreqbench.types import FloatArray, IntArray, NDArray
@@ -25,29 +24,17 @@ from xfreqbench.types import FloatArray, IntArray, NDArray
 BATCH_SIZE = 32  # maps that are in memory at a time
 
 
-@dataclass(frozen=True)
-class FitOutcome:
-    """What a record holds of a fit, with the meaning that `RunRecord` gives to the same names."""
+def record_of(record_id: str, job: Job, scored: Mapping[str, Any], outcome: Mapping[str, Any]) -> RunRecord:
+    """The record of a job, made here and now, of `scored_on_split` or `scored_in_rooms` and of what its fit was.
 
-    step: int
-    fit_seconds: float | None
-    predict_ms_per_map: float | None
-    parameters: int | None
-    config: Mapping[str, Any] = field(default_factory=dict)
-    hardware: Mapping[str, str] = field(default_factory=dict)
-    fit_processor_seconds: float | None = None
-    peak_memory_mib: float | None = None
-    counts: Mapping[str, float] = field(default_factory=dict)
-    curve: tuple[CurvePoint, ...] = ()
-    code_sha256: str | None = None
-    findings: Mapping[str, Any] = field(default_factory=dict)
-    external: External | None = None
+    Both are fields of `RunRecord` by their names.
+    """
+    here: dict[str, Any] = {"software": machine.software(), "git_commit": machine.git_commit(), "time_utc": utc_now()}
+    return RunRecord(id=record_id, job=job, metrics_version=METRICS_VERSION, **here, **scored, **outcome)
 
 
-def scored_record(
-    record_id: str, job: Job, dataset: PasDataset, split: Split, predictions: Path, outcome: FitOutcome
-) -> RunRecord:
-    """The record of a job: `predictions`, the file of stored maps, is scored here, and `outcome` says the rest.
+def scored_on_split(dataset: PasDataset, split: Split, predictions: Path) -> dict[str, Any]:
+    """What a record holds of a split and of the scores of its stored maps, which are computed here.
 
     Raises `DataError` if the predictions are damaged or of another split.
     """
@@ -55,41 +42,21 @@ def scored_record(
     if stored.split_sha256 != split.sha256 or not np.array_equal(stored.rows, split.test):
         raise DataError(f"{predictions} holds predictions of another split. Delete it and run again.")
     scores = _scores(dataset, stored.batches(BATCH_SIZE))
-    return RunRecord(
-        id=record_id,
-        job=job,
-        dataset_sha256=dataset.sha256,
-        scene=dataset.header.scene_name,
-        pas_kind=dataset.header.pas_kind,
-        settings=dict(dataset.header.settings),
-        split_sha256=split.sha256,
-        protocol_version=split.version,
-        metrics_version=METRICS_VERSION,
-        config=dict(outcome.config),
-        step=outcome.step,
-        fit_seconds=outcome.fit_seconds,
-        predict_ms_per_map=outcome.predict_ms_per_map,
-        peak_memory_mib=outcome.peak_memory_mib,
-        parameters=outcome.parameters,
-        num_test=len(split.test),
-        num_without_path=split.num_without_path,
-        shares_transmitters=split.shares_transmitters,
-        scores={name: summary(values, test.carrier_hz) for name, values in scores.items()},
-        hardware=dict(outcome.hardware),
-        software=machine.software(),
-        git_commit=machine.git_commit(),
-        time_utc=utc_now(),
-        counts=dict(outcome.counts),
-        curve=outcome.curve,
-        ssim_by_tx=by_group(scores["ssim"], test.tx_index),
-        nearest_trained_m=split.nearest_trained_m,
-        code_sha256=outcome.code_sha256,
-        findings=dict(outcome.findings),
-        external=outcome.external,
-        recipe=dataset.recipe.id,
-        fit_processor_seconds=outcome.fit_processor_seconds,
-        trained_band_hz=split.trained_band_hz(dataset),
-    )
+    return {
+        "dataset_sha256": dataset.sha256,
+        "recipe": dataset.recipe.id,
+        "scene": dataset.header.scene_name,
+        "pas_kind": dataset.header.pas_kind,
+        "settings": dict(dataset.header.settings),
+        "split_sha256": split.sha256,
+        "protocol_version": split.version,
+        "num_test": len(split.test),
+        "num_without_path": split.num_without_path,
+        "shares_transmitters": split.shares_transmitters,
+        "nearest_trained_m": split.nearest_trained_m,
+        "trained_band_hz": split.trained_band_hz(dataset),
+        **summaries(scores, test.carrier_hz, test.tx_index),
+    }
 
 
 @checked
@@ -137,13 +104,21 @@ def _scores(dataset: PasDataset, predicted: Iterable[MapBatch]) -> dict[str, Flo
     return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
 
 
-def by_group(values: Float[FloatArray, "N"], group: Int[IntArray, "N"]) -> tuple[tuple[float, ...], ...]:
-    """Values, rounded, in one tuple for each group, such as a transmitter; `group` ascends, as rows do."""
-    starts = np.flatnonzero(np.diff(group)) + 1
-    return tuple(tuple(part.tolist()) for part in np.split(values.round(4), starts))
+def summaries(
+    scores: Mapping[str, Float[FloatArray, "N"]], carrier_hz: Float[FloatArray, "N"], group: Int[IntArray, "N"]
+) -> dict[str, Any]:
+    """The fields `scores` and `ssim_by_tx` of a record, of the scores of N samples by the name of the metric.
+
+    `group` is the number of each sample's transmitter, or of its room; it ascends, as rows do.
+    """
+    parts = np.split(scores["ssim"].round(4), np.flatnonzero(np.diff(group)) + 1)
+    return {
+        "scores": {name: _summary(values, carrier_hz) for name, values in scores.items()},
+        "ssim_by_tx": tuple(tuple(part.tolist()) for part in parts),
+    }
 
 
-def summary(values: Float[FloatArray, "N"], carrier_hz: Float[FloatArray, "N"]) -> Summary:
+def _summary(values: Float[FloatArray, "N"], carrier_hz: Float[FloatArray, "N"]) -> Summary:
     """What a record holds of the scores of N samples by one metric."""
     return Summary(
         mean=float(values.mean()),

@@ -5,116 +5,67 @@ from __future__ import annotations
 import asyncio
 import logging
 import platform
-import sys
-import threading
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache, partial
 from importlib.util import find_spec
-from typing import Any, TypeVar, no_type_check
+from typing import Any, TypeVar
 
 from xfreqbench.errors import ClusterError
 from xfreqbench.system.machine import installed_version, safe_path
 from xfreqbench.system.source import package_sha256
+from xfreqbench.system.workers import Workers, lost_workers
 
-Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 SCHEME = "dask://"
 CONNECT_S = 6.0  # how long to wait for a scheduler
 FIRST_WORKER_S = 30.0  # and then for its first worker, which has to import libraries
-_LOOK_S = 1.0  # between two looks at which workers there are, while a call waits for one that may make it
 _CALLBACKS = "tornado.application"  # prints a traceback where Ctrl-C meets a call that has not quite begun
 _LIBRARIES = ("numpy", "scipy", "h5py", "torch", "numba", "dask", "distributed")
 
 
-class UnfitWorkerError(ClusterError):
-    """Raised in a call by a worker that cannot make it as the driver could: another worker is then asked to."""
-
-
-class DaskWorkers:
-    """The workers of one scheduler, each making one call at a time; see `xfreqbench.system.workers.Workers`.
+class DaskWorkers(Workers):
+    """The workers of one scheduler, each making one call at a time.
 
     A call whose worker dies is made again on another worker. It ends with `ClusterError` once more workers have
-    died of it than the scheduler's `distributed.scheduler.allowed-failures`, or if the scheduler itself ends. A call
-    that a worker refuses with `UnfitWorkerError`, or cannot even read, is made by one of the others, and ends with
-    `ClusterError` where every worker refuses it.
+    died of it than the scheduler's `distributed.scheduler.allowed-failures`, or if the scheduler itself ends, and where
+    its worker has other software than this process.
     """
 
     def __init__(self, client: Any, address: str) -> None:
         self._client = client
         self._address = address
         self._executor = client.get_executor(pure=False)
-        self._sent: tuple[Any, Any] = (None, None)
-        self._left_out = set[str]()  # workers whose reason was printed
 
     @property
-    def num_places(self) -> int:
+    def num_places(self) -> int:  # type: ignore[override]
         """Number of workers at this moment."""
         with _losses_in_words(self._address):
             return len(self._client.nthreads())
 
-    def submit(self, call: Callable[[Argument], Result], argument: Argument) -> Future[Result]:
-        """Have a worker make a call. The function, with what `partial` binds to it, is sent to each worker once."""
+    def submit(self, call: Callable[..., Result], /, *arguments: Any, **options: Any) -> Future[Result]:
+        """Have a worker make a call."""
+        import cloudpickle
+
+        sent = cloudpickle.dumps(partial(call, *arguments, **options))
         with _losses_in_words(self._address):
-            known, sent = self._sent
-            if known is not call:
-                # a task of its own: it can be made again if every worker that has it dies
-                sent = self._client.submit(bytes, _pickled(call), pure=False)
-                self._sent = call, sent
-            found = self._executor.submit(_CALL, sent, _pickled((argument, fingerprint())))
+            found = self._executor.submit(_call_alike, sent, fingerprint())
         # a future with the same outcome, except that the death of workers or scheduler is a `ClusterError`
         worded: Future[Result] = Future()
         worded.add_done_callback(lambda ended: found.cancel() if ended.cancelled() else None)
-        found.add_done_callback(partial(self._end, worded, call, argument))
+        found.add_done_callback(partial(self._end, worded))
         return worded
 
-    def _end(self, worded: Future[Any], call: Callable[[Any], Any], argument: Any, found: Future[Any]) -> None:
-        """Give a future the outcome of a call, or have the call made by another worker if it was refused."""
-        outcome = self._outcome(found)
-        if _is_refusal(outcome):
-            # this is the client's own thread, which may not wait for an answer of a worker
-            threading.Thread(target=self._make_elsewhere, args=(worded, call, argument, outcome), daemon=True).start()
+    def _end(self, worded: Future[Any], found: Future[Any]) -> None:
+        """Give a future the outcome of a call."""
+        if not worded.set_running_or_notify_cancel():
+            return
+        error = _gone(self._address) if found.cancelled() else found.exception()
+        if error is None:
+            worded.set_result(found.result())
         else:
-            _settle(worded, outcome)
-
-    def _outcome(self, found: Future[Any]) -> Any:
-        """What a call returned or raised; the death of workers or scheduler is a `ClusterError`."""
-        if found.cancelled():
-            return _gone(self._address)
-        error = found.exception()
-        return _killed(error) or error or found.result()
-
-    def _make_elsewhere(self, worded: Future[Any], call: Callable[[Any], Any], argument: Any, outcome: Any) -> None:
-        """Have a call that was refused made by a worker that does not refuse it, whichever of them come and go."""
-        refusals, sent = dict[str, str](), (_pickled(call), _pickled((argument, fingerprint())))
-        try:
-            with _losses_in_words(self._address):
-                while _is_refusal(outcome) and not worded.cancelled():
-                    _, worker, words = outcome
-                    self._note(worker, words, refusals)
-                    present = self._client.nthreads().keys()
-                    left = present - refusals.keys()
-                    if present and not left:
-                        raise ClusterError(" ".join(f"Worker {worker} {refusals[worker]}" for worker in present))
-                    found = self._executor.submit(_CALL, *sent, workers=sorted(left))
-                    while not (wait([found], _LOOK_S).done or worded.cancelled()):
-                        if left.isdisjoint(self._client.nthreads()):
-                            break
-                    if found.done():
-                        outcome = self._outcome(found)
-                    else:  # nobody is left who may make it
-                        found.cancel()
-        except Exception as error:
-            outcome = error
-        _settle(worded, outcome)
-
-    def _note(self, worker: str, words: str, refusals: dict[str, str]) -> None:
-        """Note why a worker refused a call, and print the reason once for each worker."""
-        refusals[worker] = words
-        if worker not in self._left_out:
-            print(f"xfreqbench: worker {worker} {words} Others do its work.", file=sys.stderr, flush=True)
-        self._left_out.add(worker)
+            worded.set_exception(_killed(error) or error)
 
     def ask(self, question: Callable[..., Result], *arguments: Any) -> dict[str, Result]:
         """The answer of every worker to a question, by its address; raises `ClusterError` if one cannot answer."""
@@ -154,11 +105,7 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
             workers = DaskWorkers(client, address)
             _require_workers(client, address)
             for worker, found in workers.ask(fingerprint).items():
-                if differing := differences(fingerprint(), found):
-                    raise ClusterError(
-                        f"Worker {worker} has other software: {differing}. Its results could differ; install the same "
-                        "versions on both, as with `pip install -c constraints.txt`."
-                    )
+                require_alike(worker, fingerprint(), found)
             yield workers
 
 
@@ -217,6 +164,15 @@ def differences(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str:
     return ", ".join(f"{name} {theirs.get(name, 'none')} (here {ours.get(name, 'none')})" for name in sorted(names))
 
 
+def require_alike(worker: str, ours: Mapping[str, str], theirs: Mapping[str, str]) -> None:
+    """Raise `ClusterError` where the versions of a worker are not those of the driver."""
+    if differing := differences(ours, theirs):
+        raise ClusterError(
+            f"Worker {worker} has other software: {differing}. Its results could differ; install the same "
+            "versions on both, as with `pip install -c constraints.txt`."
+        )
+
+
 def _imported() -> Any:
     try:
         import distributed
@@ -243,68 +199,13 @@ def _require_workers(client: Any, address: str) -> None:
         )
 
 
-def lost_workers(number: int, where: str = "") -> str:
-    """Words for a call that ended because `number` workers died of it."""
-    return (
-        f"{number} workers died of it{where}. Most often memory ran out: have fewer workers, or allow each of them "
-        "more. A cluster's workers have a log that says why."
-    )
-
-
-def _opaque_call() -> Callable[[bytes, bytes], Any]:
-    """The function that workers are sent: by its code, so that one without this package can read it, and say so."""
-
-    @no_type_check  # or tests would have another function in its place, which cannot be sent
-    def make(call: bytes, rest: bytes) -> Any:
-        import pickle
-
-        from distributed import get_worker
-
-        try:
-            from xfreqbench.system.cluster import _call_alike
-
-            asked = pickle.loads(call), *pickle.loads(rest)
-        except Exception as error:
-            return "xfreqbench: refused", get_worker().address, f"cannot work: {type(error).__name__}: {error}."
-        return _call_alike(*asked)
-
-    return make
-
-
-_CALL = _opaque_call()
-_REFUSED = "xfreqbench: refused"  # and then the worker's address and its reason, which goes on after its name
-
-
-def _call_alike(call: Callable[[Argument], Result], argument: Argument, drivers: Mapping[str, str]) -> Any:
+def _call_alike(sent: bytes, drivers: Mapping[str, str]) -> Any:
     """On the worker: make a call, unless this worker differs from the driver, as one that joined later may."""
+    import cloudpickle
     from distributed import get_worker
 
-    try:
-        if differing := differences(drivers, fingerprint()):
-            raise UnfitWorkerError(f"has other software: {differing}.")
-        return call(argument)
-    except UnfitWorkerError as error:
-        return _REFUSED, get_worker().address, str(error)
-
-
-def _is_refusal(outcome: Any) -> bool:
-    return isinstance(outcome, tuple) and outcome[:1] == (_REFUSED,)
-
-
-def _pickled(sent: Any) -> bytes:
-    """What is sent to a worker, in a form that does not end the worker where it cannot be read."""
-    import cloudpickle
-
-    return bytes(cloudpickle.dumps(sent))
-
-
-def _settle(worded: Future[Any], outcome: Any) -> None:
-    if not worded.set_running_or_notify_cancel():
-        return
-    if isinstance(outcome, BaseException):
-        worded.set_exception(outcome)
-    else:
-        worded.set_result(outcome)
+    require_alike(get_worker().address, drivers, fingerprint())
+    return cloudpickle.loads(sent)()
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import benchmark, checkpoints
 from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.jobs import protocol_tasks
+from xfreqbench.runs.jobs import tasks_of
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 from xfreqbench.runs.records import Job
 from xfreqbench.runs.run import run_jobs
@@ -125,7 +125,7 @@ def _kill_a_fit() -> None:
             raise KeyboardInterrupt
 
     methods, budget = [("aperture-gs", FITTED)], parse_budget("3steps")
-    tasks = protocol_tasks(DATA, open_dataset(DATA), methods, "lofo", [10.0], [0], budget)
+    tasks = tasks_of(DATA, open_dataset(DATA), methods, "lofo", [10.0], [0], budget)
     with mock.patch.object(checkpoints, "CHECKPOINT_SECONDS", 0.0), contextlib.suppress(KeyboardInterrupt):
         run_jobs(tasks, Path("results"), fitting=kill)
 

@@ -16,7 +16,7 @@ from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import ClusterError, UnknownNameError, XFreqBenchError
 from xfreqbench.runs.records import BenchFigure, BenchPoint
 from xfreqbench.system.machine import peak_memory_mib, reset_peak_memory
-from xfreqbench.system.workers import LocalProcesses, own_cores
+from xfreqbench.system.processes import LocalProcesses, own_cores
 from xfreqbench.tracing.image.tracer import MAX_MIRRORS
 from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import format_ghz
