@@ -199,3 +199,18 @@ def test_a_method_that_learns_across_rooms_is_checked_and_asks_for_rooms(
         run(rooms, "nearest", "lofo", tmp_path)
     with pytest.raises(XFreqBenchError, match="The plan is not told"):
         run(rooms, "plan-tracer", "unseen-rooms", tmp_path)
+
+
+def test_a_damaged_room_is_predicted_again(rooms: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = run(rooms, "line-of-sight", "unseen-rooms", tmp_path / "whole")[0]
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runner, "write_answers", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run(rooms, "line-of-sight", "unseen-rooms", tmp_path)
+    (piece,) = tmp_path.glob("checkpoints/*/*.npz")
+    piece.write_bytes(piece.read_bytes()[:-100])
+    assert run(rooms, "line-of-sight", "unseen-rooms", tmp_path)[0].scores == whole.scores

@@ -33,7 +33,7 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import read_predictions
 from xfreqbench.runs.records import Job
 from xfreqbench.runs.run import run
-from xfreqbench.system import machine
+from xfreqbench.system import files, machine
 
 ON_A_TERMINAL = {"FORCE_COLOR": "1", "TTY_INTERACTIVE": "1", "COLUMNS": "200"}  # as Rich is told
 
@@ -130,8 +130,11 @@ def test_a_second_process_is_told_who_runs_jobs_in_the_folder(dataset: PasDatase
     assert len(run_jobs([lofo_job(dataset)], tmp_path)) == 1
 
 
-def test_a_job_that_a_worker_without_a_driver_is_at_is_not_made_beside_it(dataset: PasDataset, tmp_path: Path) -> None:
+def test_a_job_that_a_worker_without_a_driver_is_at_is_not_made_beside_it(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder, job = ResultsFolder(tmp_path), lofo_job(dataset)
+    monkeypatch.setattr(files, "_LONGEST_WAIT_S", 0.1)
     with (
         folder.lock(task_of(job).id),
         ThreadPoolExecutor(1) as other,

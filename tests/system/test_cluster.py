@@ -338,22 +338,19 @@ def test_a_worker_that_joins_later_with_other_code_spoils_no_run(tmp_path: Path)
     assert sorted(record.job.seed for record in read(results / "records.jsonl").records) == [0, 1, 2, 3]
 
 
-def test_the_run_of_a_suspended_worker_is_not_made_beside_it(tmp_path: Path) -> None:
-    """It may go on at any time. Once it is gone, the same command makes the run."""
+def test_the_run_of_a_suspended_worker_is_made_by_another_once_its_nanny_has_ended_it(tmp_path: Path) -> None:
     paper_dataset(tmp_path / "data.h5", num_tx=4)
     method = f"{Gated.__module__}:{Gated.__name__}"
     command = f"run --data data.h5 --targets 77 --method {method} --budget 2steps --results results"
     with started(tmp_path, 2, WORKER_TTL="5s") as running:
-        command += f" --executor {running.address}"
-        with _driver(command, tmp_path) as driver:
+        with _driver(f"{command} --executor {running.address}", tmp_path) as driver:
             _wait(lambda: bool(list(tmp_path.glob("results/predictions/*.lock"))) or driver.poll() is not None)
             suspended = running.signal_a_busy_worker(signal.SIGSTOP)
             (tmp_path / "go").touch()
             _, message = driver.communicate()
-        assert driver.returncode == 2 and "is being written by process" in message
         with suppress(ProcessLookupError):
-            os.kill(suspended, signal.SIGKILL)
-        _given(command, tmp_path)
+            os.kill(suspended, signal.SIGKILL)  # or the end of the cluster waits for it
+        assert driver.returncode == 0, message
     assert len(read(tmp_path / "results" / "records.jsonl").records) == 1
 
 

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import glob
-import hashlib
-import io
 import json
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-import numpy as np
-
 from xfreqbench.data.plan import Plan
 from xfreqbench.data.recipe import job_differences
-from xfreqbench.errors import DataError, OutputExistsError, StorageError
-from xfreqbench.system.array_files import unpacked
-from xfreqbench.system.files import atomic_path, require_own, sole_writer, storage_errors, write_text
+from xfreqbench.errors import OutputExistsError
+from xfreqbench.system.files import require_own, sole_writer, storage_errors, write_text
+from xfreqbench.system.pieces import Pieces
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.tracing.tracer import Channel
 
@@ -28,61 +24,28 @@ _ADVICE = "Rename it, or choose another output with -o."
 class BatchStore:
     """Finished batches of one job in a folder, which `claimed_batches` gives to one process at a time.
 
-    `kept` are the numbers of those that were there at the beginning, from processes before this one.
-
-    A file's name carries the number of the batch, the digest of its job and the sha256 of its bytes, and these bytes
-    hold number and job once more. It is written under another name, synced and renamed. One that has its sha256 and
-    its job is therefore a whole batch of this very job, whoever wrote it; one that is lost, cut short, damaged or of
-    another job is traced again.
+    `kept` are the numbers of those that were there at the beginning; see `Pieces`.
     """
 
     def __init__(self, folder: Path, plan: Plan) -> None:
-        self.folder = folder
         self.plan = plan
-        pattern = f"[0-9]*-{plan.sha256[:16]}-*.npz"
-        self._paths = {_index(path): path for path in folder.glob(pattern) if self._channel(path)}
-        self.kept = sorted(self._paths)
+        self._pieces = Pieces(folder, plan.sha256)
+        self.kept = self._pieces.kept
 
     def missing(self) -> list[tuple[int, slice]]:
         """Batches that have to be traced, each with its index and its transmitters."""
-        return [(i, rows) for i, rows in enumerate(self.plan.batches) if i not in self._paths]
+        return [(i, rows) for i, rows in enumerate(self.plan.batches) if i not in self._pieces]
 
     def write(self, index: int, channel: Channel) -> None:
         """Keep a batch; raises `StorageError`."""
-        buffer = io.BytesIO()
         paths = {} if channel.paths is None else {f"paths.{k}": v for k, v in vars(channel.paths).items()}
-        np.savez(buffer, cfr=channel.cfr, num_paths=channel.num_paths, batch=self._name(index), **paths)
-        content = buffer.getvalue()
-        path = self.folder / f"{self._name(index)}-{hashlib.sha256(content).hexdigest()}.npz"
-        with atomic_path(path, len(content), is_claimed=True) as temporary, storage_errors(path, len(content)):
-            temporary.write_bytes(content)
-        self._paths[index] = path
+        self._pieces.put(index, cfr=channel.cfr, num_paths=channel.num_paths, **paths)
 
     def read(self, index: int) -> Channel:
         """A batch that was kept; raises `StorageError` where it is there no longer, or was changed."""
-        channel = self._channel(self._paths[index])
-        if channel is None:
-            raise StorageError(f"Batch {index} has gone from {self.folder}. Run the same command again.")
-        return channel
-
-    def _channel(self, path: Path) -> Channel | None:
-        """The channel in a file; None where it is no whole batch of this job. Links are not followed."""
-        if path.is_symlink() or not path.is_file():
-            return None
-        content = path.read_bytes()
-        if hashlib.sha256(content).hexdigest() != path.stem.rpartition("-")[2]:
-            return None
-        try:
-            stored = unpacked(path, content, None, "")
-            if str(stored.pop("batch")) != self._name(_index(path)):
-                return None
-            paths = {name.removeprefix("paths."): stored.pop(name) for name in [*stored] if "." in name}
-            return Channel(**stored, paths=RaggedPaths(**paths) if self.plan.header.paths else None)
-        except (DataError, LookupError, TypeError):
-            return None
-
-    def _name(self, index: int) -> str:
-        return f"{index:06d}-{self.plan.sha256[:16]}"
+        stored = self._pieces.get(index)
+        paths = {name.removeprefix("paths."): stored.pop(name) for name in [*stored] if "." in name}
+        return Channel(**stored, paths=RaggedPaths(**paths) if self.plan.header.paths else None)
 
 
 @contextmanager
@@ -166,7 +129,3 @@ def _empty(folder: Path) -> None:
                 path.unlink(missing_ok=True)
     with suppress(OSError):  # something else is in it
         folder.rmdir()
-
-
-def _index(path: Path) -> int:
-    return int(path.name.partition("-")[0])

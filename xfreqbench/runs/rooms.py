@@ -7,7 +7,7 @@ map that the array cannot give is scored as the nearest that it can.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -33,7 +33,7 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.lags import LagFunctions
 from xfreqbench.maps.metrics import score_all
 from xfreqbench.runs.scoring import summaries
-from xfreqbench.system.files import atomic_path, json_sha256
+from xfreqbench.system.files import json_sha256
 from xfreqbench.types import FloatArray, IntArray, Maps, NDArray
 
 ROOM_SCHEMA = "xfreqbench/room-predictions/1"
@@ -54,21 +54,10 @@ class RoomAnswer:
     predict_seconds: float
 
 
-def kept_answer(path: Path, asked: PasDataset, make: Callable[[], tuple[Maps, float, float]]) -> RoomAnswer:
-    """What is predicted of a room: read from a file where the room is done, or else made and kept there.
-
-    `make` gives the maps of the samples that are asked for, and the seconds to adapt and to predict.
-    """
-    if path.exists():
-        with np.load(path) as stored:
-            return RoomAnswer(**{name: stored[name][()] for name in stored})
-    maps, seconds, predict_seconds = make()
+def answer_of(asked: PasDataset, maps: Float[Maps, "n E A"], seconds: float, predict_seconds: float) -> RoomAnswer:
+    """The answer for samples of a room whose maps were predicted in some seconds, after others to adapt to it."""
     sums = _lag_functions(asked).of_maps(maps, asked.header.pas_kind)
-    answer = RoomAnswer(asked.rows, sums, seconds, predict_seconds)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, **vars(answer))
-    return answer
+    return RoomAnswer(asked.rows, sums, seconds, predict_seconds)
 
 
 def _lag_functions(asked: PasDataset) -> LagFunctions:

@@ -45,15 +45,15 @@ from xfreqbench.runs.jobs import Question, Task, require_importable, require_run
 from xfreqbench.runs.predictions import SCHEMA, MapBatch, fault_of_maps, require_no_others, write_predictions
 from xfreqbench.runs.progress import RunProgress, run_bars
 from xfreqbench.runs.records import Job, RunRecord
-from xfreqbench.runs.rooms import ROOM_SCHEMA, ROOM_SECONDS, RoomAnswer, kept_answer, scored_in_rooms, write_answers
+from xfreqbench.runs.rooms import ROOM_SCHEMA, ROOM_SECONDS, RoomAnswer, answer_of, scored_in_rooms, write_answers
 from xfreqbench.runs.scoring import BATCH_SIZE, record_of, scored_on_split
 from xfreqbench.system import machine
 from xfreqbench.system.arguments import FilePath, Texts, WholeNumbers, Word, checked, listed
 from xfreqbench.system.bars import Shown, announcing
-from xfreqbench.system.files import storage_errors
+from xfreqbench.system.files import exclusive, storage_errors
+from xfreqbench.system.pieces import Pieces
 from xfreqbench.system.processes import SERIAL, open_workers, send_message
 from xfreqbench.system.workers import HERE, Workers, side_by_side
-from xfreqbench.types import Maps
 
 _sent_s = 0.0
 Options = Texts | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
@@ -301,11 +301,12 @@ def run_task(task: Task, folder: ResultsFolder, fitting: FitProgress | None = No
     """Fit, store the method, predict, store the predictions, and score what was stored; the record of all that.
 
     The caller stores the record and then removes the checkpoints, which stay until then: a job without a record is
-    unfinished. Raises `InUseError` where another process is at the same job, such as a worker that lost its driver.
+    unfinished. Raises `InUseError` where another process, such as a worker that lost its driver, is at the job for more
+    than a minute.
     """
     path, split = folder.predictions_path(task.id), task.split
     require_no_others(path, ROOM_SCHEMA if isinstance(split, RoomSplit) else SCHEMA)
-    with folder.lock(task.id):
+    with exclusive(folder.run_lock_path(task.id)):
         machine.reset_peak_memory()
         method, fit, curve = fitted(task, folder, fitting)
         counts = dict(fit.counts)
@@ -345,21 +346,19 @@ def _answers_in_rooms(
     task: Task, split: RoomSplit, method: Any, kept: Path, fitting: FitProgress | None
 ) -> list[RoomAnswer]:
     """What a method predicts in every room, to which it is adapted; rooms that are done are kept in a folder."""
-    rooms, started_s, answers = split.rooms.rooms, time.perf_counter(), list[RoomAnswer]()
-    for room, question in zip(rooms, task.questions(), strict=True):
-
-        def answered(question: Question = question) -> tuple[Maps, float, float]:
+    started_s, pieces, num_rooms = time.perf_counter(), Pieces(kept, task.id), len(split.rooms)
+    for number, question in enumerate(task.questions()):
+        if number not in pieces:
             adapting, predicting = Stopwatch(), Stopwatch()
             with task.method_errors("adapt", question.place), adapting:
                 predictor = method.adapt(question.heard, task.job.budget)
             ((_, maps),) = _predicted(task, predictor, question, predicting, len(question.asked))
-            return maps, adapting.seconds, predicting.seconds
-
-        answers.append(kept_answer(kept / f"room-{room.sha256[:16]}.npz", question.asked, answered))
+            pieces.put(number, **vars(answer_of(question.asked, maps, adapting.seconds, predicting.seconds)))
         if fitting:
-            share = len(answers) / len(rooms)
-            fitting(task.job, Fit(len(answers), nan, time.perf_counter() - started_s, share))
-    return answers
+            share = (number + 1) / num_rooms
+            fitting(task.job, Fit(number + 1, nan, time.perf_counter() - started_s, share))
+    kept_arrays: list[dict[str, Any]] = [pieces.get(number) for number in range(num_rooms)]
+    return [RoomAnswer(**{name: array[()] for name, array in arrays.items()}) for arrays in kept_arrays]
 
 
 def _predicted(task: Task, predictor: Any, question: Question, clock: Stopwatch, size: int) -> Iterator[MapBatch]:
