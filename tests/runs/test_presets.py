@@ -16,7 +16,7 @@ from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.runs import benchmark as benchmarks
 from xfreqbench.runs.benchmark import Benchmark, cost, plan_benchmark
 from xfreqbench.runs.folder import ResultsFolder, read_records
-from xfreqbench.runs.presets import PRESETS, TRIVIAL_SETTINGS, Block, Preset, Setting
+from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 from xfreqbench.system.workers import HERE, InThisProcess
 
 SMALL = Preset(
@@ -37,20 +37,19 @@ def _small_preset(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_preset_says_what_it_leaves_out_and_builds_its_methods(name: str) -> None:
     preset = plan_benchmark(name, Path("data"), Path("results")).preset
     assert preset.left_out
-    assert set(preset.benches) <= set(benchmarks.BENCH_COMMANDS)
+    assert set(preset.benches) <= set(benchmarks.BENCHES)
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_learned_method_meets_the_trivial_ones_on_the_same_splits(name: str) -> None:
     blocks = PRESETS[name].blocks
-    enough = TRIVIAL_SETTINGS[:1] if PRESETS[name].num_rooms else TRIVIAL_SETTINGS  # few have anything to copy there
+    enough = EVERY_TRIVIAL[:1] if PRESETS[name].num_rooms else EVERY_TRIVIAL  # few have anything to copy there
     trivial: dict[tuple[str, str], set[object]] = {}
     for block in blocks:
         known = trivial.setdefault((block.scene, block.protocol), set())
-        if {*enough} <= {*block.settings} <= {*TRIVIAL_SETTINGS}:
+        if {*enough} <= {setting.method for setting in block.settings} <= {*EVERY_TRIVIAL}:
             known.add(block.targets_ghz)
         assert known & {"all", None, block.targets_ghz}
-    assert {setting.method for setting in TRIVIAL_SETTINGS} == set(EVERY_TRIVIAL)
 
 
 def test_the_standard_runs_every_method_with_three_seeds_on_every_board() -> None:
@@ -141,7 +140,7 @@ def test_a_second_benchmark_in_one_folder_is_refused_before_it_writes_anything(t
 @pytest.mark.slow
 def test_a_measurement_that_fails_is_named_and_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     planned = plan_benchmark("small", folder / "data", folder / "measured")
-    monkeypatch.setitem(benchmarks.BENCH_COMMANDS, "stress", (("bench", "stress", "--only", "ten octaves"), 1))
+    monkeypatch.setitem(benchmarks.BENCHES["stress"], "command", "bench stress --only 'ten octaves'")
 
     class FailsAfterItsTables(InThisProcess):
         def submit(self, call, /, *arguments, **options):
@@ -166,7 +165,9 @@ def test_a_file_that_holds_other_data_is_not_used(folder: Path) -> None:
 def test_failed_runs_are_named_and_the_others_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     planned = plan_benchmark("small", folder / "data", folder / "results")
     benchmarks.generate_data(planned)
-    broken = Preset("", (Block("empty", "held-out-tx", TRIVIAL_SETTINGS[:2], None),), "", {"empty": 12})
+    broken = Preset(
+        "", (Block("empty", "held-out-tx", tuple(map(Setting, EVERY_TRIVIAL[:2])), None),), "", {"empty": 12}
+    )
     results = folder / "other"
     (results / "predictions").mkdir(parents=True)
     task = Benchmark("broken", broken, folder / "data", results).tasks()[0]

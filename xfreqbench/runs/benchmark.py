@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -27,7 +28,7 @@ from xfreqbench.methods.registry import build_method, device_option, room_method
 from xfreqbench.runs.estimate import in_hours
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task, tasks_of
-from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
+from xfreqbench.runs.presets import BENCHES, COSTS, PRESETS, Block, Preset, Setting
 from xfreqbench.runs.progress import RunProgress
 from xfreqbench.runs.records import BenchRecord, Job
 from xfreqbench.runs.run import imports_of, run_jobs
@@ -39,38 +40,9 @@ from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.types import ProgressCallback, ignore_progress
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
-BENCH_COMMANDS = {  # the command of each measurement, and the minutes that it takes on two cores
-    "generate": (("bench", "generate"), 4),
-    "plain": (("bench", "generate", "--against-plain", "--plain-tx", "8"), 4),
-    "render": (("bench", "render"), 2),
-    "savings": (("bench", "savings"), 5),
-    "stress": (("bench", "stress"), 1),
-    "scale-out": (("bench", "scale-out"), 4),
-    "peers": (("bench", "peers", "--orders", "1,2,3", "--seconds", "5", "--limit", "100"), 9),
-}
 _PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
 
-_TRIVIAL_S, _BESIDE_FIT_S = 2.8, 4.0  # as measured: a run that fits nothing, and what others take besides their fits
-_SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside it
-    "fixed-frequency-gs": 8.6e-5,
-    "frequency-embedded-gs": 8.6e-5,
-    "xfreq-gs": 1e-4,
-    "room-lags": 5.5e-4,
-    "swift-wrf": 2.5e-4,
-    "virtual-source": 3.3e-4,
-    "wideband-3dgs": 3.3e-4,
-    "wrf-gs-plus": 4.8e-4,
-    "xfreq-gs-paper": 0.018,
-}
-_USUAL_SECONDS_A_MAP = 1.9e-4
-_TRACED_S = {  # on two idle cores, to shoot the rays of a scene and to trace a transmitter at ten carriers
-    "corridor": (1.0, 0.015),
-    "lounge": (7.0, 0.06),
-    "office_cluttered": (4.0, 0.16),
-}
-_USUAL_TRACED_S = (2.0, 0.03)
-_ROOM_S, _SCORED_S, _TESTED_ROOMS = 1.2, 0.5, 107  # to trace a room; to score one; tested rooms of a thousand
-_MAPS_A_STEP = 128  # of xfreq-gs, which alone has budgets in steps in the presets
+_TESTED_ROOMS = 107  # of a thousand
 
 
 @dataclass(frozen=True)
@@ -194,7 +166,7 @@ def cost(benchmark: Benchmark, num_places: int) -> str:
     """
     preset = benchmark.preset
     seconds = {run: _run_seconds(block, run[3]) for block in preset.blocks for run in _runs(block)}
-    benches_s = sum(60.0 * BENCH_COMMANDS[name][1] for name in preset.benches)
+    benches_s = sum(60.0 * BENCHES[name]["minutes"] for name in preset.benches)
     num_fits = sum(budget is not None for *_, budget in seconds)
     is_all = benchmark.predictions == "all"
     num_bytes = sum(  # if every split tests every transmitter once
@@ -210,7 +182,7 @@ def cost(benchmark: Benchmark, num_places: int) -> str:
             *(_data_line(benchmark, scene) for scene in benchmark.scenes),
             *(
                 f"{benchmark.data_path(family)}: {number:,} rooms, traced in about "
-                f"{in_hours(number * _ROOM_S / num_places)}, of which are used whichever are there already"
+                f"{in_hours(number * COSTS['a_room'] / num_places)}, of which are used whichever are there already"
                 for family, number in preset.num_rooms.items()
             ),
             f"{len(seconds)} runs, {num_fits} of them fits with a budget, {num_places} at a time, and "
@@ -223,13 +195,15 @@ def cost(benchmark: Benchmark, num_places: int) -> str:
 def _run_seconds(block: Block, setting: Setting) -> float:
     """Estimated seconds of one run on one core."""
     budget = parse_budget(block.budget)
-    a_map = _SECONDS_A_MAP.get(setting.method, _USUAL_SECONDS_A_MAP)
+    a_map = COSTS["a_map"].get(setting.method, COSTS["a_map"]["usual"])
     if block.protocol in ROOM_PROTOCOLS:  # one fit for all splits, or a fit in every room
         fit_s = budget.max_seconds or (budget.max_maps or 0) * a_map
         is_across = setting.method in room_method_names()
-        return fit_s * (1 / len(_splits(block)) if is_across else _TESTED_ROOMS) + _TESTED_ROOMS * _SCORED_S
-    overhead = _BESIDE_FIT_S if block.budget else _TRIVIAL_S
-    maps = budget.max_maps or (budget.max_steps or 0) * _MAPS_A_STEP
+        return (
+            fit_s * (1 / len(_splits(block)) if is_across else _TESTED_ROOMS) + _TESTED_ROOMS * COSTS["a_tested_room"]
+        )
+    overhead = COSTS["beside_fit" if block.budget else "trivial_run"]
+    maps = budget.max_maps or (budget.max_steps or 0) * 128  # of xfreq-gs, which alone has budgets in steps there
     return (budget.max_seconds or maps * a_map) + overhead
 
 
@@ -271,7 +245,7 @@ def measure(benchmark: Benchmark, name: str) -> list[str]:
     """
     with tempfile.TemporaryDirectory() as folder:
         measured = ResultsFolder(Path(folder))
-        command = [*BENCH_COMMANDS[name][0], "--output", str(measured.records_path)]
+        command = [*shlex.split(BENCHES[name]["command"]), "--output", str(measured.records_path)]
         with LocalProcesses(all_cores(), is_fresh=True) as own:
             ended = own.submit(_command, command)
         status = ended.exception() or ended.result()
@@ -337,6 +311,6 @@ def _data_line(benchmark: Benchmark, scene: str) -> str:
     path, plan = benchmark.data_path(scene), benchmark.plans[scene]
     if path.exists():
         return f"{path} is there already and is used"
-    shot_s, transmitter_s = _TRACED_S.get(scene, _USUAL_TRACED_S)
+    shot_s, transmitter_s = COSTS["traced"].get(scene, COSTS["traced"]["usual"])
     seconds = shot_s + transmitter_s * len(plan.tx_position_m)
     return f"{path}: {plan.header.num_bytes / 1e6:.0f} MB, traced in about {seconds:.0f} s"
