@@ -17,9 +17,6 @@ from pydantic_core import from_json
 from xfreqbench.errors import MethodError, OutOfMemoryError, XFreqBenchError, was_interrupted
 from xfreqbench.system.machine import lacks_memory, memory_left
 
-_MOST_SHOWN = 2000  # characters of a message
-_IMPORTING = Path(importlib.__file__).parent
-
 
 @contextmanager
 def method_code(
@@ -52,13 +49,13 @@ def method_code(
 def described(error: BaseException) -> str:
     """Type and message of an exception and, where it is known, the place in the method's code: one line of text."""
     try:
-        text = str(error)[:_MOST_SHOWN]
+        text = str(error)[:2000]
     except Exception:  # a message may be a method's own code as well
         text = "its message cannot be shown"
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if not frame.filename.startswith("<frozen ")]
     place = f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
-    if own and Path(own[-1].filename).parent == _IMPORTING:
+    if own and Path(own[-1].filename).parent == Path(importlib.__file__).parent:
         place = ""  # the module was not found, or is no Python
     return readable(f"{type(error).__name__}: {text}{place}")
 

@@ -30,7 +30,6 @@ TEMPLATE_FILES = {
 }
 _COPIED = ", to copy and to change"
 _MAX_NAME = 40
-_FOLDERS = ("src", "tests")
 
 
 def write_method_package(name: str, folder: Path, rooms: bool = False) -> list[Path]:
@@ -81,7 +80,7 @@ def _require_free(name: str, module: str, class_name: str, template: str) -> Non
         f"there is an installed method {name!r}"
         if name in (*method_names(), *room_method_names())
         else f"there is a module {module!r} already"
-        if keyword.iskeyword(module) or module in _FOLDERS or find_spec(module)
+        if keyword.iskeyword(module) or module in ("src", "tests") or find_spec(module)
         else f"the template has a {class_name} of its own"
         if re.search(rf"\b{class_name}\b", template)
         else ""

@@ -15,7 +15,6 @@ from xfreqbench.runs.records import Job
 from xfreqbench.system.processes import SERIAL, require_executor
 
 OVERHEAD_S = 13.0  # what a run takes besides its fit: start, learning curve, predictions and scores
-LONG_S = 600.0
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class Estimate:
     @property
     def is_long(self) -> bool:
         """Whether it may take more than ten minutes, as far as that is known."""
-        return self.seconds / (self.num_places or 1) > LONG_S
+        return self.seconds / (self.num_places or 1) > 600.0
 
     def __str__(self) -> str:
         num_finished, num_left = self.num_asked - len(self.left), len(self.left)

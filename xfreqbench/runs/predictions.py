@@ -28,7 +28,6 @@ from xfreqbench.system.files import require_own
 from xfreqbench.types import IntArray, NDArray
 
 SCHEMA = "xfreqbench/predictions/1"
-PEAK_TOLERANCE = 1e-2  # a peak between two grid points may be lower; a map that was not divided by it is far off
 _ADVICE = "Delete it and run again."
 MapBatch = tuple[IntArray, NDArray[np.float32]]
 
@@ -82,7 +81,8 @@ def fault_of_maps(values: Num[NDArray[Any], "n E A"]) -> tuple[int, str] | None:
         value = values[tuple(place)]
         return place[0], f"has {value:g} at {place[1:]}; maps are finite numbers from 0 to 1, their peak 1."
     peaks = values.max(axis=(1, 2))
-    for low in np.flatnonzero(peaks < 1 - PEAK_TOLERANCE):
+    # a peak between two grid points may be lower; a map that was not divided by it is far off
+    for low in np.flatnonzero(peaks < 1 - 1e-2):
         if values[low].any():
             return int(low), f"has its peak at {peaks[low]:g}. Divide each map by its own maximum."
     return None

@@ -44,7 +44,6 @@ LEAST_CORE_SHARE = 0.7  # of a core, below which seconds of a fit say little
 _BENCH_START = b'{"bench":'  # the line of a table begins so, and that of a run does not
 _STARTS = b'{"id":', _BENCH_START
 CURVE_SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the budget; the fit's end comes after
-CURVE_MAPS = 64  # maps that are scored for every point of a learning curve
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 
@@ -405,7 +404,7 @@ class StoredRecords:
 def curve_positions(split_sha256: str, num_test: int) -> Int[NDArray[np.int64], "n"]:
     """Which of a split's test rows the points of a learning curve are scored on: ascending positions, shape (n,)."""
     generator = np.random.default_rng(int(split_sha256, 16))
-    return np.sort(generator.choice(num_test, min(CURVE_MAPS, num_test), replace=False))
+    return np.sort(generator.choice(num_test, min(64, num_test), replace=False))
 
 
 def append(path: Path, record: RunRecord | BenchRecord) -> None:

@@ -21,7 +21,6 @@ Result = TypeVar("Result")
 SCHEME = "dask://"
 CONNECT_S = 6.0  # how long to wait for a scheduler
 FIRST_WORKER_S = 30.0  # and then for its first worker, which has to import libraries
-_CALLBACKS = "tornado.application"  # prints a traceback where Ctrl-C meets a call that has not quite begun
 _LIBRARIES = ("numpy", "scipy", "h5py", "torch", "numba", "dask", "distributed")
 
 
@@ -89,7 +88,8 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
     """
     distributed = _imported()
     scheduler = "tcp://" + address.removeprefix(SCHEME)
-    with _quiet("distributed", "distributed.client", _CALLBACKS):  # the errors below say it in words of ours
+    # the last prints a traceback where Ctrl-C meets a call that has not quite begun
+    with _quiet("distributed", "distributed.client", "tornado.application"):  # the errors below say it in words of ours
         try:
             with ThreadPoolExecutor(1) as thread:  # a notebook has an event loop of its own
                 question = asyncio.wait_for(_require_scheduler(distributed, scheduler), CONNECT_S)

@@ -25,8 +25,6 @@ from filelock import FileLock, Timeout
 from xfreqbench.errors import InUseError, OutputExistsError, StorageError
 from xfreqbench.system.machine import now
 
-_LONGEST_BATCH = 256  # bytes of names within the folder of batches of an output
-_LOCK_POLL_S = 0.02  # between two tries for a lock that another process holds
 _LONGEST_WAIT_S = 60.0  # for what takes others a moment, unless they have been suspended
 
 
@@ -239,7 +237,8 @@ def require_name(target: Path) -> None:
         folder = next(parent for parent in target.absolute().parents if parent.exists())
         for given, kept, limit in (
             (target.name, longest.name, os.pathconf(folder, "PC_NAME_MAX")),
-            (target, longest, os.pathconf(folder, "PC_PATH_MAX") - _LONGEST_BATCH),
+            # 256 bytes are left for names within the folder of batches of an output
+            (target, longest, os.pathconf(folder, "PC_PATH_MAX") - 256),
         ):
             surplus = len(os.fsencode(kept)) - limit
             if surplus > 0:
@@ -299,7 +298,7 @@ def exclusive(lock: Path) -> Iterator[None]:
             except InUseError:
                 if time.monotonic() > deadline_s:
                     raise
-                time.sleep(_LOCK_POLL_S)
+                time.sleep(0.02)
         yield
 
 

@@ -32,7 +32,6 @@ from xfreqbench.system.machine import safe_path
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 _IS_COMPILER = "XFREQBENCH_IS_COMPILER"  # a variable of its environment
-_IDLE_S = 20
 _SERVE = "from xfreqbench.system.kernels import serve; serve()"
 _compilers: dict[int, Any] = {}  # by the process that they compile for
 
@@ -125,7 +124,7 @@ def serve() -> None:
     asked: SimpleQueue[Any] = SimpleQueue()
     threading.Thread(target=_listen, args=(asked,), daemon=True).start()
     while True:
-        signal.alarm(_IDLE_S)  # ends this process; compilers hold a gigabyte
+        signal.alarm(20)  # ends this process; compilers hold a gigabyte
         module, name, sig = asked.get()
         signal.alarm(0)
         getattr(import_module(module), name).compile(sig)

@@ -21,10 +21,7 @@ from xfreqbench.errors import OutOfMemoryError, XFreqBenchError, ran_out_of_memo
 _STATUS = Path("/proc/self/status")
 _MEMORY = Path("/proc/meminfo")
 _GROUPS, _LIMITS_OF_GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
-_GPUS = Path("/proc/driver/nvidia/gpus")
-_CLEAR_REFS = Path("/proc/self/clear_refs")
 _THREADS, _MOST_THREADS = "NUMBA_NUM_THREADS", 1024  # with many more the system refuses to start them
-_THREADS_OF_LIBRARIES = ("OMP_NUM_THREADS", _THREADS)
 _SAFE_PATH = "PYTHONSAFEPATH"
 _STARTING, _num_starting = threading.Lock(), 0
 _safe_path_before: str | None = None
@@ -98,7 +95,7 @@ def _numeric_libraries() -> ThreadpoolController:
 def reset_peak_memory() -> None:
     """Start a new measurement of peak memory, on Linux; elsewhere the peak stays that since the process began."""
     try:
-        _CLEAR_REFS.write_text("5", encoding="utf-8")
+        Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")
     except OSError:
         return
 
@@ -182,9 +179,13 @@ def hardware() -> dict[str, str]:
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count()
     system = f"{platform.system()} {platform.machine()}"
-    gpus = [name for path in sorted(_GPUS.glob("*/information")) for name in _stated(path, "Model:")]
+    gpus = [
+        name
+        for path in sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
+        for name in _stated(path, "Model:")
+    ]
     known = {"processor": _processor(), "cores": str(cores), "system": system}
-    asked = [int(text) for name in _THREADS_OF_LIBRARIES if (text := os.environ.get(name, "")).isdecimal()]
+    asked = [int(text) for name in ("OMP_NUM_THREADS", _THREADS) if (text := os.environ.get(name, "")).isdecimal()]
     limited = {"threads": str(min(asked))} if asked and 0 < min(asked) < (cores or 1) else {}
     return known | limited | ({"gpu": " + ".join(gpus)} if gpus else {})
 

@@ -33,7 +33,6 @@ Result = TypeVar("Result")
 Cores = frozenset[int]
 SERIAL = "serial"
 MAX_DEATHS = 4  # processes that may die of one call; Dask allows as many workers by default
-_SPAWN = multiprocessing.get_context("spawn")  # a fork of this process would inherit its threads and locks
 _UNKNOWN_STATUS = 255
 _LEAST_MIB = 50  # of memory that a process shares with no other once it has imported the toolkit
 _INTERRUPT = {signal.SIGINT}
@@ -107,7 +106,8 @@ class LocalProcesses(Workers):
         on_message: Callable[..., object] | None = None,
     ) -> None:
         self.num_places = len(places)
-        context = _forking(places, tuple(imports)) or _SPAWN
+        # a fork of this process would inherit its threads and locks
+        context = _forking(places, tuple(imports)) or multiprocessing.get_context("spawn")
         self._is_fresh = is_fresh
         self._is_ending = threading.Event()
         self._threads = ThreadPoolExecutor(len(places))

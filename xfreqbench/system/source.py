@@ -12,7 +12,6 @@ from sysconfig import get_path
 
 PACKAGE = "xfreqbench"
 _BASELINES = f"{PACKAGE}.baselines"  # in an editable install their folder lies beside the package's
-_DATA = ("examples", "scenes")  # folders of an editable install that hold no code of the package
 
 
 def package_sha256() -> str:
@@ -65,5 +64,5 @@ def _folders(package: str) -> tuple[Path, ...]:
 def _python(folder: Path) -> Iterator[tuple[str, Path]]:
     for path in folder.rglob("*.py"):
         within = path.relative_to(folder)
-        if within.parts[0] not in _DATA:
+        if within.parts[0] not in ("examples", "scenes"):
             yield within.as_posix(), path

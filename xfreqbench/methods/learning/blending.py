@@ -37,19 +37,13 @@ LINE_OF_SIGHT, MEAN_OVER_FREQUENCY = "LineOfSight", "MeanOverFrequency"
 _START, _START_UNSEEN = (LINE_OF_SIGHT, MEAN_OVER_FREQUENCY), (LINE_OF_SIGHT, LINE_OF_SIGHT)
 # weights far from all that is known, where the nearest training transmitter is in the same direction, and where not
 _FAR = {LEARNED: 1 / 3, LINE_OF_SIGHT: 1 / 2, MEAN_OVER_FREQUENCY: 1 / 6}
-_FAR_ELSEWHERE = {LEARNED: 1 / 4, LINE_OF_SIGHT: 3 / 4}
 # and of seen ones far below the band, in clear sight and not: walls let more through there, and mirror otherwise
-_FAR_BELOW = {LEARNED: 1 / 8, LINE_OF_SIGHT: 1 / 4, MEAN_OVER_FREQUENCY: 5 / 8}
-_FAR_BELOW_OBSCURED = {LEARNED: 1 / 4, LINE_OF_SIGHT: 5 / 8, MEAN_OVER_FREQUENCY: 1 / 8}
-_ELSEWHERE_DEG = 10.0  # between directions at the receiver
 _FAR_SPACINGS = (1.0, 1.4)  # of the training transmitters, between which one gets far from all of them
 _ALIKE = (0.6, 0.8)  # SSIM of line of sight and learned map, of a transmitter that is far: the latter is wrong below
 _CLEAR = (0.7, 0.9)  # SSIM of line of sight and mean over frequency: the sight is obscured below, clear above
 _PARTS = 8  # so many more are given one by one to whichever brings most
 _LEAST_ROWS, _MOST_ROWS = 4, 48  # of each kind on which weights are chosen, and most held-out transmitters
 _LEAST_TX, _LEAST_TX_SHARE = 8, 4  # held out: so many, but no more than one of four
-_LEAST_ALIKE = 8.0  # clear and obscured rows; where either are fewer, all choose together
-_MOST_CARRIERS = 3  # that are held out inside the band
 _UNKNOWN_WEIGHT = 0.25  # of the learned maps, where no carrier can be held out
 BoolArray = NDArray[np.bool_]
 KINDS = ("unseen carrier", "unseen transmitter", "unseen carrier and transmitter")
@@ -111,7 +105,7 @@ def _drawn_carriers(inner_hz: Float[FloatArray, "F"], generator: np.random.Gener
 
     What is learned often fails at one end of the band alone.
     """
-    number = min(_MOST_CARRIERS, (len(inner_hz) + 1) // 2)
+    number = min(3, (len(inner_hz) + 1) // 2)
     ends = {0: [], 1: [], 2: [0], 3: [0, len(inner_hz) - 1]}[number]
     others = np.setdiff1d(np.arange(len(inner_hz)), ends)
     return inner_hz[[*ends, *([generator.choice(others)] if number else [])]]
@@ -176,7 +170,8 @@ class Blend:
             shares = [np.ones(len(rows))]
             if _of(kind) == KINDS[0] and holdout.until == CHOOSE_AT and maps.keys() >= {*_START}:
                 clear = _clear(maps)
-                if min(clear.sum(), (1 - clear).sum()) >= _LEAST_ALIKE:
+                # where either are fewer, all choose together
+                if min(clear.sum(), (1 - clear).sum()) >= 8.0:
                     shares = [clear, 1 - clear]
             weights, *obscured = (_best_weights(maps, rows.pas(), start, share) for share in shares)
             choices[kind] = Choice(weights=weights, obscured=next(iter(obscured), None), carrier_hz=carrier_hz)
@@ -246,7 +241,8 @@ class Blend:
         octaves = np.log2(np.maximum(lowest_hz / carrier_hz, carrier_hz / highest_hz)) * (lowest_hz < highest_hz)
         spacings = known.away_m(tx_position_m) / max(known.spacing_m, SAME_TRANSMITTER_M)
         far = 1 - (1 - octaves.clip(0, 1)) * (1 - np.interp(spacings, _FAR_SPACINGS, (0, 1)))
-        elsewhere = (known.turned_deg(tx_position_m) / _ELSEWHERE_DEG).clip(0, 1)
+        # between directions at the receiver, of which ten degrees are elsewhere
+        elsewhere = (known.turned_deg(tx_position_m) / 10.0).clip(0, 1)
         alike, clear, is_known = np.ones(len(carrier_hz)), np.zeros(len(carrier_hz)), known.knows(tx_position_m)
         if len(at := np.flatnonzero((far > 0) & ~is_known)):
             alike[at] = np.interp(similarities(learned[at], predicted.maps(LINE_OF_SIGHT, at)), _ALIKE, (0, 1))
@@ -256,10 +252,10 @@ class Blend:
         below, far = far * is_below, far * ~is_below
         return [
             (_FAR, far * alike * (1 - elsewhere)),
-            (_FAR_ELSEWHERE, far * alike * elsewhere),
+            ({LEARNED: 1 / 4, LINE_OF_SIGHT: 3 / 4}, far * alike * elsewhere),
             ({LINE_OF_SIGHT: 1.0}, far * (1 - alike)),
-            (_FAR_BELOW, below * clear),
-            (_FAR_BELOW_OBSCURED, below * (1 - clear)),
+            ({LEARNED: 1 / 8, LINE_OF_SIGHT: 1 / 4, MEAN_OVER_FREQUENCY: 5 / 8}, below * clear),
+            ({LEARNED: 1 / 4, LINE_OF_SIGHT: 5 / 8, MEAN_OVER_FREQUENCY: 1 / 8}, below * (1 - clear)),
         ]
 
     def _kinds(

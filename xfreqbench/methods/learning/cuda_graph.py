@@ -7,8 +7,6 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-_WARM_UP = 3  # steps done one by one first, in which libraries and the optimiser prepare themselves
-
 
 class StepGraph:
     """A function of tensors, recorded at its fourth call and replayed from then on.
@@ -29,7 +27,8 @@ class StepGraph:
         """The function's results for tensors on any device."""
         on_device = tuple(tensor.to(device, non_blocking=True) for tensor in inputs)
         self._calls += 1
-        if self._calls <= _WARM_UP:
+        # three steps are done one by one first, in which libraries and the optimiser prepare themselves
+        if self._calls <= 3:
             self._stream.wait_stream(torch.cuda.current_stream())
             with torch.cuda.stream(self._stream):
                 results = self._function(*on_device)

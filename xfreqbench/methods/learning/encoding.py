@@ -13,7 +13,6 @@ from torch.nn.functional import grid_sample
 
 from xfreqbench.data.dataset import PasDataset
 
-_GRID_RATE = 5.0  # of the learning rate
 # share by which the box of training positions grows, so that Gaussians may stand behind the outermost
 _MARGIN = 0.1
 _REACH = math.log(1.2)  # how far beyond an end of the band what was learned there still serves
@@ -144,4 +143,4 @@ def rated_with_grid(network: nn.Module, grid: FeatureGrid | None, learning_rate:
     grids = list(grid.parameters()) if grid is not None else []
     known = {id(parameter) for parameter in grids}
     rest = [parameter for parameter in network.parameters() if id(parameter) not in known]
-    return [{"params": rest, "lr": learning_rate}, {"params": grids, "lr": _GRID_RATE * learning_rate}]
+    return [{"params": rest, "lr": learning_rate}, {"params": grids, "lr": 5.0 * learning_rate}]

@@ -24,7 +24,6 @@ from xfreqbench.methods.learning.network import Attributes, NetworkConfig
 
 _CLEAR = 4.0  # logit of |δ| at the start, 0.98, so that the direct wave's Gaussians hardly shade each other
 _HEAD = 0.1  # of the usual weights of the last layer at the start
-_GRID_GAIN = 4.0  # of features of places, as inputs beside sines
 Trend = Literal["root", "log", "none"]
 NUM_SHAPES = 3  # |δ|, arg δ, λ
 
@@ -140,7 +139,7 @@ class LowRankNetwork(nn.Module):
 
     def _features(self, tx_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"]) -> Float[Tensor, "B W"]:
         place = self.scaling.unit_position(tx_m)
-        inputs = [positional_encoding(place, self.config.tx_octaves), _GRID_GAIN * self.places(place)]
+        inputs = [positional_encoding(place, self.config.tx_octaves), 4.0 * self.places(place)]
         if self._is_input:
             carrier = self.scaling.unit_carrier(carrier_hz)
             inputs.append(positional_encoding(carrier, self.config.carrier_octaves))

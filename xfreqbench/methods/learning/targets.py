@@ -21,7 +21,6 @@ from xfreqbench.maps.lags import LagFunctions
 from xfreqbench.types import FloatArray
 
 _RIDGE = 1e-6  # of the largest mean square of a lag function
-_CHANNELS_AT_ONCE = 4096  # whose products of all pairs of elements are in memory
 _MIN_PEAK = 1e-30  # so that the gradient of a square root at zero, divided by the peak, is a finite float32
 
 
@@ -190,7 +189,8 @@ class Targets:
             cfr = cfr / np.where(cfr == 0, 1, np.abs(cfr))
         scaled = cfr / np.sqrt(self._train.peak_power[self.rows])[:, None]
         channels = torch.as_tensor(scaled.astype(np.complex64)).to(self._device)
-        return torch.cat([self._beams.lags_of_channels(part) for part in channels.split(_CHANNELS_AT_ONCE)])
+        # of so many at a time, all products of pairs of elements are in memory
+        return torch.cat([self._beams.lags_of_channels(part) for part in channels.split(4096)])
 
 
 def of_peak(power: Float[Tensor, "B E A"]) -> Float[Tensor, "B E A"]:

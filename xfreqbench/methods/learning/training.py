@@ -36,7 +36,6 @@ from xfreqbench.types import FloatArray, NDArray
 
 TENSORS_FILE, STATE_FILE = "state.safetensors", "state.json"
 _PREDICT_BATCH = 32  # as many maps as a run asks for at once
-MAX_GRADIENT_NORM = 1.0
 _MIN_RATE = 0.01  # of the learning rate, reached at the end of the budget
 
 Fraction = Annotated[float, Limits(ge=0, le=1)]
@@ -470,7 +469,7 @@ def _gradients(optimizer: torch.optim.Adam, loss: Tensor) -> tuple[list[nn.Param
 
 def _update(training: Training, parameters: list[nn.Parameter], norm: Tensor) -> None:
     """Limit the norm of the gradients, and make a step of the optimiser."""
-    nn.utils.clip_grads_with_norm_(parameters, MAX_GRADIENT_NORM, norm)
+    nn.utils.clip_grads_with_norm_(parameters, 1.0, norm)
     training.optimizer.step()
 
 

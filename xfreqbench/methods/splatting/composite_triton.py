@@ -31,7 +31,6 @@ MAX_LANES = 16
 WARPS = 1  # a program's sums then need no barrier
 STRETCH = 32
 LISTED_AT_ONCE = 128
-_SLACK_RAD = 1e-4  # by which boxes are larger than footprints, for rounding
 _TURN = tl.constexpr(2 * math.pi)
 
 
@@ -54,7 +53,8 @@ def composite_on_cuda(
     first = ranges_m.shape[1] * torch.arange(num_sets, device=ranges_m.device)  # Gaussian of each set
     order = (ranges_m.argsort(dim=1, stable=True) + first[:, None]).flatten()
     centre = torch.stack([projection.azimuth_rad, projection.elevation_rad], dim=-1)
-    reach = (support * projection.covariance.detach().diagonal(dim1=-2, dim2=-1)).sqrt() + _SLACK_RAD
+    # boxes are a little larger than footprints, for rounding
+    reach = (support * projection.covariance.detach().diagonal(dim1=-2, dim2=-1)).sqrt() + 1e-4
     boxes = torch.cat([centre.detach(), reach], dim=-1)[order].contiguous()
     geometry = torch.cat([centre, inverse(projection.covariance)], dim=-1)
     absorption = 1 - attenuation

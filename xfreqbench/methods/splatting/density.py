@@ -13,8 +13,6 @@ from typing_extensions import Doc
 
 from xfreqbench.methods.splatting.gaussians import RFGaussians, Seen
 
-_SHRINK = 0.5  # log of 1.65, by which the size of a divided Gaussian shrinks, as in 3-D Gaussian splatting
-
 
 @dataclass(frozen=True)
 class DensityConfig:
@@ -84,7 +82,8 @@ def _replace(
     """Keep some Gaussians; divide others into two smaller ones, one deviation apart along the longest axis."""
     values, vectors = torch.linalg.eigh(gaussians.covariance)
     shift_m = (vectors[:, :, -1] * values[:, -1:].clamp_min(0).sqrt())[divided]
-    gaussians.log_scale[divided] -= _SHRINK
+    # the log of 1.65, by which a divided Gaussian shrinks in 3-D Gaussian splatting
+    gaussians.log_scale[divided] -= 0.5
     gaussians.position_m[divided] += shift_m / 2
     chosen = torch.cat([kept, divided])
     for name, parameter in list(gaussians.named_parameters()):

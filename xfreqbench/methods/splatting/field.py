@@ -28,8 +28,6 @@ from xfreqbench.methods.splatting.gaussians import CODES, CodedGaussians, RFGaus
 from xfreqbench.methods.splatting.projection import Projection, project_gaussians
 
 SUPPORT = 9.0  # squared Mahalanobis distance at which a footprint ends: three deviations
-_CODE_RATE = 2.0  # of the learning rate
-_PEAK_VIEW = GridView(6, 3, 3)  # with the loss's own directions, fine enough to find a beam's peak
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,8 @@ class BandField(ChannelField):
         if not self.config.band:
             return super().unit_power(tx_position_m, carrier_hz, view, beams)
         lags = self._lags(tx_position_m, carrier_hz, beams)
-        return beams.power_of_lags(lags / beams.peak_of_lags(lags, view, _PEAK_VIEW), view)
+        # with the loss's own directions it is fine enough to find a beam's peak
+        return beams.power_of_lags(lags / beams.peak_of_lags(lags, view, GridView(6, 3, 3)), view)
 
     def _lags(
         self, tx_position_m: Float[Tensor, "B 3"], carrier_hz: Float[Tensor, "B"], beams: Beams
@@ -311,5 +310,5 @@ class SplatField(GaussianField):
         return [
             *self.network.parameter_groups(learning_rate),
             {"params": geometry, "lr": self.config.position_rate * learning_rate},
-            *([{"params": codes, "lr": _CODE_RATE * learning_rate}] if codes else []),
+            *([{"params": codes, "lr": 2.0 * learning_rate}] if codes else []),
         ]

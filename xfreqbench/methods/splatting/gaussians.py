@@ -15,8 +15,6 @@ from xfreqbench.methods.learning.low_rank import NUM_SHAPES, Codes
 
 Seen = Bool[Tensor, "N"] | slice  # whether each Gaussian is seen, or the slice of all
 CODES = ("signal_code", "shape_code", "shape_start", "shape_trend")
-_GOLDEN_ANGLE_RAD = math.pi * (3 - math.sqrt(5))
-_SIGNAL_CODE = 0.5  # standard deviation of the codes of signals at the start
 
 
 def covariance(quaternion: Float[Tensor, "N 4"], log_scale: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3 3"]:
@@ -71,7 +69,7 @@ class RFGaussians(nn.Module):
         lowest, highest = (math.sin(float(end)) for end in (grid.elevation_rad.min(), grid.elevation_rad.max()))
         nth = torch.arange(len(self)) + 0.5
         z = highest - (highest - lowest) * nth / len(self)
-        azimuth_rad, across = nth * _GOLDEN_ANGLE_RAD, (1 - z * z).clamp_min(0).sqrt()
+        azimuth_rad, across = nth * (math.pi * (3 - math.sqrt(5))), (1 - z * z).clamp_min(0).sqrt()
         direction = torch.stack([across * azimuth_rad.cos(), across * azimuth_rad.sin(), z], dim=-1)
         self.position_m.copy_(direction.to(self.position_m) * self.position_m.norm(dim=-1, keepdim=True))
 
@@ -81,7 +79,7 @@ class CodedGaussians(RFGaussians):
 
     def __init__(self, num_gaussians: int, rank: int) -> None:
         super().__init__(num_gaussians)
-        self.signal_code = nn.Parameter(_SIGNAL_CODE * torch.randn(num_gaussians, 2, rank))
+        self.signal_code = nn.Parameter(0.5 * torch.randn(num_gaussians, 2, rank))
         self.shape_code = nn.Parameter(torch.zeros(num_gaussians, NUM_SHAPES, rank))
         self.shape_start = nn.Parameter(torch.zeros(num_gaussians, NUM_SHAPES))
         self.shape_trend = nn.Parameter(torch.zeros(num_gaussians, NUM_SHAPES))
