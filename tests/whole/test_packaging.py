@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from ast import literal_eval
 from functools import partial
 from importlib.metadata import distribution
 from pathlib import Path
@@ -18,6 +19,7 @@ from packaging.utils import canonicalize_name
 from tests.support.places import ROOT
 from tests.support.prediction_files import hand_out, write_predictions
 from tests.support.synthetic import paper_dataset
+from xfreqbench.data.dataset import PasDataset
 
 PURELIB = "import sysconfig; print(sysconfig.get_path('purelib'))"
 FIRST_STEPS = """
@@ -115,7 +117,7 @@ def test_a_system_that_lacks_what_linux_alone_has_imports_and_helps() -> None:
 import os, sys
 sys.modules |= dict.fromkeys(["fcntl", "resource"])
 del os.sched_getaffinity, os.sched_setaffinity, os.fork
-import xfreqbench.system.workers
+import xfreqbench.system.processes
 from xfreqbench.cli.main import app
 from xfreqbench.system.machine import hardware
 assert int(hardware()["cores"])
@@ -183,3 +185,24 @@ def test_a_clone_is_imported_from_the_folder_that_holds_it(tmp_path: Path) -> No
     )
     run = subprocess.run([python, "-c", program], capture_output=True, text=True, check=True, cwd=tmp_path)
     assert run.stdout.split() == ["generate", str(clone / "baselines/__init__.py")]
+
+
+DATA_ALONE = """
+import sys
+from importlib.metadata import packages_distributions, requires
+import xfreqbench as xb
+
+dataset = xb.open_dataset(sys.argv[1])
+dataset.pas([0]), dataset.cfr, xb.make_splits(dataset, "lofo", 10.0)
+known = packages_distributions()
+loaded = {name.lower() for module in {name.partition(".")[0] for name in sys.modules} for name in known.get(module, ())}
+required = [line for line in requires("xfreqbench") if "extra ==" not in line]
+print([name for line in required if (name := line.split(";")[0].rstrip("0123456789.<>=,").lower()) in loaded])
+"""
+
+
+def test_who_uses_data_alone_imports_at_most_ten_of_the_required_libraries(dataset: PasDataset) -> None:
+    command = [sys.executable, "-c", DATA_ALONE, str(dataset.path)]
+    loaded = literal_eval(subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout)
+    assert {"numpy", "h5py", "pydantic"} <= {*loaded} and len(loaded) <= 10
+    assert not {"torch", "sionna-rt", "numba", "matplotlib", "trimesh"} & {*loaded}
