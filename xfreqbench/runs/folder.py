@@ -24,6 +24,7 @@ from xfreqbench.methods.contract import Method
 from xfreqbench.methods.registry import build_method
 from xfreqbench.runs.checkpoints import CheckpointFolder
 from xfreqbench.runs.predictions import Predictions, read_predictions
+from xfreqbench.runs.record_table import read_table
 from xfreqbench.runs.records import BenchRecord, RunRecord, StoredRecords, append, read
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import require_regular, require_space, sole_worker, storage_errors
@@ -55,7 +56,9 @@ class ResultsFolder:
         """Everything that the file of records holds; raises `DataError`."""
         now = self._file_state()
         if now != self._read_at:
-            self._stored, self._read_at = read(self.records_path, self._stored), now
+            is_table = self.records_path.suffix == ".parquet" and now is not None
+            stored = read_table(self.records_path) if is_table else read(self.records_path, self._stored)
+            self._stored, self._read_at = stored, now
         return self._stored
 
     @property

@@ -104,6 +104,12 @@ def _pack_by_tx(scores: tuple[tuple[float, ...], ...]) -> list[Any]:
     return [pack([len(of_transmitter) for of_transmitter in scores], 1), pack(every, _STEP)]
 
 
+def _all_or_none(quantiles: list[float]) -> list[float]:
+    if len(quantiles) not in (0, NUM_QUANTILES):
+        raise ValueError(f"there are {len(quantiles)} quantiles, and not {NUM_QUANTILES}")
+    return quantiles
+
+
 def _unpacked_quantiles(packed: Any, validate: Callable[[Any], list[float]]) -> list[float]:
     """Quantiles from their text, or whatever else `validate` takes; a text needs no look at each number."""
     found = unpack(packed, _STEP)
@@ -111,15 +117,18 @@ def _unpacked_quantiles(packed: Any, validate: Callable[[Any], list[float]]) -> 
 
 
 def _unpacked_by_tx(packed: Any, validate: Callable[[Any], tuple[tuple[float, ...], ...]]) -> Any:
-    """Scores by transmitter from the texts of `_pack_by_tx`, or whatever else `validate` takes."""
-    if not (isinstance(packed, list) and len(packed) == 2 and all(isinstance(text, str) for text in packed)):
+    """Scores by transmitter from the texts of `_pack_by_tx`, from arrays of the same, or what else `validate` takes."""
+    if not (
+        isinstance(packed, list) and len(packed) == 2 and all(isinstance(each, str | np.ndarray) for each in packed)
+    ):
         return validate(packed)
-    ends = np.cumsum(unpack(packed[0], 1), dtype=np.int64)
-    scores = unpack(packed[1], _STEP)
+    numbers, scores = (unpack(each, step) for each, step in zip(packed, (1, _STEP), strict=True))
+    ends = np.cumsum(numbers, dtype=np.int64)
     if len(scores) != (ends[-1] if len(ends) else 0):
         raise ValueError("there are not as many scores as samples")
     if not (np.diff(ends, prepend=0) > 0).all():
         raise ValueError("a transmitter is without samples")
+    scores = scores.tolist() if isinstance(scores, np.ndarray) else scores
     return tuple(tuple(scores[start:end]) for start, end in pairwise([0, *ends.tolist()]))
 
 
@@ -130,7 +139,7 @@ Score = Annotated[float, AfterValidator(partial(round, ndigits=8))]
 FiniteScore = Annotated[Score, Field(allow_inf_nan=False)]
 Quantiles = Annotated[
     list[Annotated[float, AfterValidator(partial(round, ndigits=4))]],
-    Field(min_length=NUM_QUANTILES, max_length=NUM_QUANTILES),
+    AfterValidator(_all_or_none),
     WrapValidator(_unpacked_quantiles),
     PlainSerializer(partial(pack, step=_STEP), when_used="json"),
 ]
@@ -168,7 +177,7 @@ class Job:
 
 
 class Summary(BaseModel):
-    """One metric over the test samples: `p10` is the 10 % quantile, `quantiles` are those of 0, 1, … 100 %."""
+    """One metric over the test samples: `p10` is the 10 % quantile, `quantiles` are those of 0, 1, … 100 %, or none."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 

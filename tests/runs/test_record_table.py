@@ -1,0 +1,69 @@
+"""Records as a Parquet table: the same records come back, and damage is named."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+from tests.support.damage import flip
+from tests.support.leaderboard_records import make_bench
+from tests.support.stored_records import make_record, make_summary
+from xfreqbench.errors import DataError
+from xfreqbench.runs.folder import read_records
+from xfreqbench.runs.record_table import read_table, write_table
+from xfreqbench.runs.records import CurvePoint, External, StoredRecords
+
+
+@pytest.fixture
+def stored() -> StoredRecords:
+    ssim_by_tx = ((0.1234, -0.5), (1.0,))
+    curve = (CurvePoint(step=1, seconds=0.5, loss=math.inf, ssim=0.4, share=0.5),)
+    first = make_record(
+        scores={"ssim": make_summary(0.1234), "psnr": make_summary(3.0)}, ssim_by_tx=ssim_by_tx, curve=curve
+    )
+    external = External(sha256="a" * 64, url="https://example.org")
+    second = make_record("theirs", scores=scores, external=external, findings={"planes": [1.5]}, fit_seconds=None)
+    return StoredRecords((first, second), (make_bench("stress"),))
+
+
+def test_the_same_records_come_back(stored: StoredRecords, tmp_path: Path) -> None:
+    path = tmp_path / "records.parquet"
+    write_table(path, stored)
+    assert (read_table(path).records, read_table(path).benches) == (stored.records, stored.benches)
+    assert read_records(path) == stored.records
+
+
+def test_of_other_metrics_than_ssim_and_psnr_there_are_no_quantiles(tmp_path: Path) -> None:
+    record = make_record(scores={"ssim": make_summary(0.5), "aoa_error": make_summary(3.0)})
+    write_table(tmp_path / "records.parquet", StoredRecords((record,)))
+    scores = read_table(tmp_path / "records.parquet").records[0].scores
+    assert scores["ssim"] == record.scores["ssim"]
+    assert scores["aoa_error"] == record.scores["aoa_error"].model_copy(update={"quantiles": []})
+
+
+def test_what_is_damaged_or_something_else_is_refused(stored: StoredRecords, tmp_path: Path) -> None:
+    path, other = tmp_path / "records.parquet", tmp_path / "other.parquet"
+    write_table(path, stored)
+    pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), other)
+    for refused, change in (
+        (path, lambda: flip(path, path.stat().st_size // 3)),
+        (path, lambda: path.write_bytes(path.read_bytes()[:-9])),
+        (other, lambda: None),
+    ):
+        change()
+        with pytest.raises(DataError, match="is damaged, or no table of records"):
+            read_table(refused)
+
+
+def test_a_row_that_is_no_record_is_named(stored: StoredRecords, tmp_path: Path) -> None:
+    path = tmp_path / "records.parquet"
+    write_table(path, stored)
+    table = pyarrow.parquet.read_table(path)
+    seeds = table.set_column(table.column_names.index("step"), "step", [[1, -5, None]])
+    pyarrow.parquet.write_table(seeds, path)
+    with pytest.raises(DataError, match=r"row 1, is no record: step: Input should be greater than or equal to 0"):
+        read_table(path)
