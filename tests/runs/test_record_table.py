@@ -22,9 +22,8 @@ from xfreqbench.runs.records import CurvePoint, External, StoredRecords
 def stored() -> StoredRecords:
     ssim_by_tx = ((0.1234, -0.5), (1.0,))
     curve = (CurvePoint(step=1, seconds=0.5, loss=math.inf, ssim=0.4, share=0.5),)
-    first = make_record(
-        scores={"ssim": make_summary(0.1234), "psnr": make_summary(3.0)}, ssim_by_tx=ssim_by_tx, curve=curve
-    )
+    scores = {"ssim": make_summary(0.1234), "psnr": make_summary(3.0)}
+    first = make_record(scores=scores, ssim_by_tx=ssim_by_tx, curve=curve)
     external = External(sha256="a" * 64, url="https://example.org")
     second = make_record("theirs", scores=scores, external=external, findings={"planes": [1.5]}, fit_seconds=None)
     return StoredRecords((first, second), (make_bench("stress"),))
