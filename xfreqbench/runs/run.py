@@ -313,25 +313,30 @@ def run_task(task: Task, folder: ResultsFolder, fitting: FitProgress | None = No
         if isinstance(split, RoomSplit):
             answers = _answers_in_rooms(task, split, method, folder.checkpoints(task.id).path, fitting)
             write_answers(path, split, answers)
+            predict_s = sum(answer.predict_seconds for answer in answers)
             counts[ROOM_SECONDS] = float(np.median([answer.seconds + answer.predict_seconds for answer in answers]))
-            predict_s, scored = sum(answer.predict_seconds for answer in answers), scored_in_rooms(split, path)
         else:
             clock, (question,) = Stopwatch(), task.questions()
             hashes = {"dataset_sha256": task.dataset.sha256, "split_sha256": split.sha256}
             maps = _predicted(task, method, question, clock, BATCH_SIZE)
             write_predictions(path, maps, num_rows=len(split.test), grid_shape=task.dataset.grid.shape, **hashes)
-            predict_s, scored = clock.seconds, scored_on_split(task.dataset, split, path)
+            predict_s = clock.seconds
+        memory_mib = machine.peak_memory_mib()
         with task.method_errors("num_parameters"):
             parameters = checked_num_parameters(method)
         with task.method_errors("findings"):
             findings = checked_findings(method)
+        if isinstance(split, RoomSplit):
+            scored = scored_in_rooms(split, path)
+        else:
+            scored = scored_on_split(task.dataset, split, path)
     outcome = {
         "config": task.config,
         "step": fit.step,
         "fit_seconds": fit.seconds,
         "fit_processor_seconds": fit.processor_seconds,
         "predict_ms_per_map": predict_s / scored["num_test"] * 1e3,
-        "peak_memory_mib": machine.peak_memory_mib(),
+        "peak_memory_mib": memory_mib,
         "parameters": parameters,
         "hardware": machine.hardware(),
         "counts": counts,
