@@ -18,34 +18,30 @@ from xfreqbench.types import FloatArray
 
 Colour = tuple[int, int, int, int]  # red, green, blue and opacity, from 0 to 255
 
-_SURFACE = 150, 160, 175, 60
 _SOFTWARE = "xfreqbench"  # the mark by which a model is known as ours when it is replaced
-_OCTAHEDRON = np.vstack([np.eye(3), -np.eye(3)])
-_OCTAHEDRON_FACES = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
 _Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from z upwards to y upwards
-_COLOURS = {
-    "concrete": "#7f7f7f",
-    "plasterboard": "#b8a37a",
-    "stud-wall": "#b8a37a",
-    "glass": "#56b4e9",
-    "double-glazing": "#56b4e9",
-    "wood": "#a0522d",
-    "solid-door": "#a0522d",
-    "hollow-door": "#a0522d",
-    "chipboard": "#cd853f",
-    "plywood": "#d2a679",
-    "metal": "#3b5b92",
-    "brick": "#b5482f",
-    "brick-wall": "#b5482f",
-    "marble": "#9d8fa8",
-    "ceiling_board": "#a9b39b",
-    "floorboard": "#8b6b3d",
-}
 
 
 def material_hex(material: str) -> str:
     """Colour of a material as `#rrggbb`; one for all that have no name of ours."""
-    return _COLOURS.get(material, "#6b8e6b")
+    return {
+        "concrete": "#7f7f7f",
+        "plasterboard": "#b8a37a",
+        "stud-wall": "#b8a37a",
+        "glass": "#56b4e9",
+        "double-glazing": "#56b4e9",
+        "wood": "#a0522d",
+        "solid-door": "#a0522d",
+        "hollow-door": "#a0522d",
+        "chipboard": "#cd853f",
+        "plywood": "#d2a679",
+        "metal": "#3b5b92",
+        "brick": "#b5482f",
+        "brick-wall": "#b5482f",
+        "marble": "#9d8fa8",
+        "ceiling_board": "#a9b39b",
+        "floorboard": "#8b6b3d",
+    }.get(material, "#6b8e6b")
 
 
 def material_colour(material: str, opacity: int) -> tuple[int, int, int, int]:
@@ -63,7 +59,7 @@ class GlbModel:
     def __init__(self) -> None:
         self._scene = trimesh.Scene()
 
-    def add_surface(self, mesh: SurfaceMesh, colour: Colour = _SURFACE, material: str | None = None) -> None:
+    def add_surface(self, mesh: SurfaceMesh, colour: Colour = (150, 160, 175, 60), material: str | None = None) -> None:
         """Add a surface of a scene, as the node `surface NAME`, under the name of a material where one is given."""
         shape = trimesh.Trimesh(mesh.vertices_m, mesh.triangles)
         self._add(f"surface {mesh.name}", shape, colour, material)
@@ -81,8 +77,10 @@ class GlbModel:
         """Add small octahedra at N positions as one mesh of 168 bytes each; without positions, add nothing."""
         if not len(position_m):
             return
-        vertices_m = position_m[:, None] + radius_m * _OCTAHEDRON
-        triangles = 6 * np.arange(len(position_m))[:, None, None] + _OCTAHEDRON_FACES
+        vertices_m = position_m[:, None] + radius_m * np.vstack([np.eye(3), -np.eye(3)])
+        triangles = 6 * np.arange(len(position_m))[:, None, None] + np.array(
+            [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
+        )
         vertices_m, triangles = vertices_m.reshape(-1, 3), triangles.reshape(-1, 3)
         self._add(name, trimesh.Trimesh(vertices_m, triangles, process=False), colour)
 
