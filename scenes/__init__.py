@@ -4,5 +4,5 @@ import sys
 
 from xfreqbench.system.callable_package import CallablePackage
 
-NAMES = "xfreqbench.scene.model:shipped_scenes"
+NAMES = "xfreqbench.scene.toml_files:shipped_scenes"
 sys.modules[__name__].__class__ = CallablePackage

@@ -36,6 +36,7 @@ from .methods.learning.training import TrainingConfig as TrainingConfig
 from .methods.rooms import PerRoom as PerRoom
 from .report.leaderboard.text import leaderboard as leaderboard
 from .runs.folder import load_method as load_method
+from .runs.folder import load_predictions as load_predictions
 from .runs.folder import read_records as read_records
 from .runs.records import RunRecord as RunRecord
 from .runs.run import run as run

@@ -28,8 +28,9 @@ from xfreqbench.data.fingerprint import (
 )
 from xfreqbench.data.generate import generate
 from xfreqbench.errors import DataError, OutputExistsError
-from xfreqbench.scene.model import Scene, load_scene, shipped_scenes
+from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.scene.toml_files import shipped_scenes
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.types import ignore_progress

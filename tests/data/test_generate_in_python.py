@@ -13,7 +13,7 @@ import xfreqbench as xb
 from xfreqbench.cli import data as commands
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import OutputExistsError, PlacementError, XFreqBenchError
-from xfreqbench.scene.model import shipped_folder
+from xfreqbench.scene.toml_files import shipped_folder
 from xfreqbench.tracing.versions import software_versions
 
 SMALL = {"freqs_ghz": [2.4, 24.25], "tx": 3, "rays": 20_000, "max_depth": 2}

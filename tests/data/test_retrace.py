@@ -19,7 +19,8 @@ from xfreqbench.data.retrace import drawn_rows, require_origin, traced_scene
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.errors import DataError, SceneError
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
-from xfreqbench.scene.model import load_scene, shipped_folder
+from xfreqbench.scene.model import load_scene
+from xfreqbench.scene.toml_files import shipped_folder
 from xfreqbench.tracing.tracer import Channel
 
 

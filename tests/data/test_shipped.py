@@ -15,7 +15,7 @@ from xfreqbench.data.fingerprint import compare_fingerprint
 from xfreqbench.data.generate import plan_of
 from xfreqbench.data.recipe import Recipe
 from xfreqbench.errors import DataError, UnknownNameError
-from xfreqbench.scene.model import shipped_folder
+from xfreqbench.scene.toml_files import shipped_folder
 from xfreqbench.units import PAPER_CARRIERS_GHZ
 
 OFFICE = shipped_folder() / "office.h5"

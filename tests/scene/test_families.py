@@ -12,7 +12,8 @@ from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.drawn_rooms import DrawnRoom, draw_room
 from xfreqbench.scene.families import family_schema, load_family
-from xfreqbench.scene.model import load_scene, shipped_families, shipped_folder, shipped_scenes
+from xfreqbench.scene.model import load_scene
+from xfreqbench.scene.toml_files import shipped_families, shipped_folder, shipped_scenes
 from xfreqbench.tracing.tracer import TraceSettings
 
 FAMILY = load_family("rooms")

@@ -16,9 +16,10 @@ from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.meshes import SurfaceMesh, meshes_sha256, surface_meshes, write_mitsuba
-from xfreqbench.scene.model import Surface, load_scene, parse_scene, shipped_scenes
+from xfreqbench.scene.model import Surface, load_scene, parse_scene
 from xfreqbench.scene.overlaps import check_overlaps
 from xfreqbench.scene.placement import check_receiver, check_transmitters, choose_transmitters, place_transmitters
+from xfreqbench.scene.toml_files import shipped_scenes
 from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh, sees
 from xfreqbench.tracing.image.tracer import can_solve
 from xfreqbench.tracing.tracer import TraceSettings

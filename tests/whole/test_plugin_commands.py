@@ -26,6 +26,27 @@ def count(number: int, *, twice: bool = False) -> None:
 """
 
 
+PLAIN = '''
+from __future__ import annotations
+from pathlib import Path
+
+
+def rooms(results: Path, *, output: Path, twice: bool = False, quiet: bool = False) -> None:
+    """Count rooms.
+
+    Example: xfreqbench count-rooms results -o rooms.txt
+
+    Parameters
+    ----------
+    results
+        Folder of the rooms.
+    output
+        File for their number.
+    """
+    print(repr(results), output, twice, quiet)
+'''
+
+
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder of packages, each with a `.dist-info` as pip writes it, on the path of this process."""
@@ -61,13 +82,27 @@ def test_a_package_brings_a_command_which_is_imported_only_when_it_runs_or_help_
     assert shown.index("Results") < shown.index("Count rooms.") < shown.index("Exchange with others")
 
 
+def test_a_function_is_a_command_with_the_options_of_its_parameters(installed: Path) -> None:
+    install(installed, "their-rooms", COMMAND_GROUP, **{"count-rooms": "their_rooms:rooms"})
+    (installed / "their_rooms.py").write_text(PLAIN)
+    done = xfreqbench(installed, "count-rooms", "r", "-o", "n.txt", "--twice", "-q")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "PosixPath('r') n.txt True True\n", "")
+    shown = xfreqbench(installed, "count-rooms", "--help").stdout
+    for words in ("Count rooms.", "Folder of the rooms.", "-o PATH", "File for their number.", "Print errors only."):
+        assert words in shown
+    assert shown.rstrip().endswith("\nExample: xfreqbench count-rooms results -o rooms.txt")
+    shown = xfreqbench(installed, "--help").stdout
+    assert shown.index("Plug-ins") < shown.index("Count rooms.")
+    assert "Example: xfreqbench count-rooms" in xfreqbench(installed, "count-rooms", "r").stderr
+
+
 @pytest.mark.parametrize(
     ("code", "fault"),
     [
         ("import no_such_library", "ModuleNotFoundError: No module named 'no_such_library'"),
         ("raise SystemExit(0)", "SystemExit: 0"),
-        ("rooms = 3", "their_rooms:rooms is no App(name='count-rooms') of cyclopts"),
-        ("from cyclopts import App\nrooms = App(name='other')", "is no App(name='count-rooms') of cyclopts"),
+        ("rooms = 3", "their_rooms:rooms is no function, and no App(name='count-rooms') of cyclopts"),
+        ("from cyclopts import App\nrooms = App(name='other')", "no App(name='count-rooms') of cyclopts"),
         ("other = 3", "has no attribute 'rooms'"),
     ],
 )

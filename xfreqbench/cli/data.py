@@ -53,7 +53,8 @@ def scenes(
     import json
 
     from xfreqbench.scene import families
-    from xfreqbench.scene.model import scene_schema, shipped_families, shipped_scenes, shipped_toml
+    from xfreqbench.scene.model import scene_schema
+    from xfreqbench.scene.toml_files import shipped_families, shipped_scenes, shipped_toml
 
     if toml or name is not None:
         if not (toml and name):

@@ -1,4 +1,4 @@
-"""Commands of plug-ins: each entry point of the group `xfreqbench.commands` is an `App`, which becomes a command.
+"""Commands of plug-ins: each entry point of the group `xfreqbench.commands` is a function, or an `App` of cyclopts.
 
 A plug-in is imported only when its command runs, or when the help of `xfreqbench` lists it.
 """
@@ -6,12 +6,15 @@ A plug-in is imported only when its command runs, or when the help of `xfreqbenc
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from importlib.metadata import entry_points
-from typing import Annotated
+from inspect import getdoc, isfunction
+from pathlib import Path
+from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
-from xfreqbench.cli.options import GROUPS, PLUGINS
+from xfreqbench.cli.options import GROUPS, PLUGINS, Quiet
 from xfreqbench.errors import MethodError, XFreqBenchError
 from xfreqbench.methods.guard import method_code
 
@@ -48,14 +51,31 @@ def __getattr__(name: str) -> App:
             raise MethodError(f"Several packages offer a command {name!r}: {_packages(name)}. Uninstall all but one.")
         (entry,) = found.values()
         with method_code(f"Command {name!r} cannot be loaded:", "Fix its package, or uninstall it.", ()):
-            app = entry.load()
+            loaded = entry.load()
+        app = _app_of(name, loaded) if isfunction(loaded) else loaded
         if not isinstance(app, App) or app.name[0] != name:
-            raise MethodError(f"Command {name!r} cannot be loaded: {entry.value} is no App(name={name!r}) of cyclopts.")
+            what = f"is no function, and no App(name={name!r}) of cyclopts"
+            raise MethodError(f"Command {name!r} cannot be loaded: {entry.value} {what}.")
     except MethodError as error:
         return _refusing(name, str(error))
     assert isinstance(app.group, tuple), "cyclopts makes it one"
     named = [group if isinstance(group, str) else group.name for group in app.group]
     app.group = next((group for group in GROUPS if group.name in named), PLUGINS)
+    return app
+
+
+def _app_of(name: str, function: Callable[..., Any]) -> App:
+    """A command made of a function: its docstring is the help, which ends with what stands there behind "Example: ".
+
+    Its options are named as its parameters, and `-o` and `-q` stand for `output` and `quiet`, as in all commands.
+    """
+    text, _, example = (getdoc(function) or "").partition("\n\nExample: ")
+    shared = {"output": Annotated[Path, Parameter(name=["--output", "-o"])], "quiet": Quiet}
+    function.__annotations__.update({key: shared[key] for key in shared.keys() & function.__annotations__.keys()})
+    app = App(name=name, help=text.partition("\n\nParameters\n")[0])
+    if example:
+        app.help_epilogue = f"Example: {example.partition(chr(10))[0]}"
+    app.default(function)
     return app
 
 

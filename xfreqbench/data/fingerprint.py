@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.recipe import Recipe, micrometres
 from xfreqbench.errors import DataError
-from xfreqbench.scene.model import shipped_folder
+from xfreqbench.scene.toml_files import shipped_folder
 from xfreqbench.system.array_files import read_arrays
 from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import format_ghz

@@ -16,7 +16,8 @@ from xfreqbench.data.paths import SamplePaths
 from xfreqbench.data.trace import Tracing, traced
 from xfreqbench.errors import DataError, SceneError
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
-from xfreqbench.scene.model import Scene, shipped_folder
+from xfreqbench.scene.model import Scene
+from xfreqbench.scene.toml_files import shipped_folder
 from xfreqbench.system.workers import HERE, Workers, side_by_side
 from xfreqbench.tracing.tracer import Channel
 from xfreqbench.types import IntArray, NDArray

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.errors import DataError, UnknownNameError
-from xfreqbench.scene.model import shipped_folder, shipped_scenes
+from xfreqbench.scene.toml_files import shipped_folder, shipped_scenes
 from xfreqbench.system.arguments import Word, checked
 from xfreqbench.system.caches import data_folder
 from xfreqbench.system.files import sole_writer, storage_errors

@@ -13,9 +13,12 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float
 from pydantic import InstanceOf
 
 from xfreqbench.data.unseen_rooms import ROOM_PROTOCOLS
@@ -26,8 +29,10 @@ from xfreqbench.runs.checkpoints import CheckpointFolder
 from xfreqbench.runs.predictions import Predictions, read_predictions
 from xfreqbench.runs.record_table import read_table
 from xfreqbench.runs.records import BenchRecord, RunRecord, StoredRecords, append, read
+from xfreqbench.runs.scoring import BATCH_SIZE
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import require_regular, require_space, sole_worker, storage_errors
+from xfreqbench.types import NDArray
 
 RECORDS_NAME = "records.jsonl"
 _PREDICTIONS, _CHECKPOINTS, _METHODS = "predictions", "checkpoints", "methods"
@@ -210,3 +215,19 @@ def read_records(results: FilePath) -> tuple[RunRecord, ...]:
     Raises `DataError` naming file and line for a line that is no record.
     """
     return ResultsFolder.holding(Path(results)).records
+
+
+@checked
+def load_predictions(
+    results: FilePath, run: InstanceOf[RunRecord], rows: Sequence[int] | None = None
+) -> Float[NDArray[np.float32], "n E A"]:
+    """The maps (n, E, A) that a run predicted and stored, in the order of `rows`, which are rows of its data set.
+
+    They are those of all tested rows, ascending, if `rows` is absent. `results` is the run's folder, or its file of
+    records. Raises `DataError` where predictions are absent, damaged or another split's, or a row is not among them.
+    """
+    stored = ResultsFolder.holding(Path(results)).predictions(run)
+    asked = stored.rows if rows is None else np.asarray(rows)
+    if missing := sorted(set(asked.tolist()) - set(stored.rows.tolist())):
+        raise DataError(f"{stored.path} holds no prediction of row {missing[0]}. Choose among the rows that it tested.")
+    return stored.maps_of(asked, BATCH_SIZE)

@@ -18,16 +18,15 @@ from pydantic import Field
 from xfreqbench.errors import PlacementError, SceneError
 from xfreqbench.scene.dice import Dice
 from xfreqbench.scene.families import Family, Fraction3, Piece, RoomType, Slabs, load_family
-from xfreqbench.scene.model import Point, ReceiverArray, Scene, Surface, form_errors
+from xfreqbench.scene.model import Point, ReceiverArray, Scene, Surface
+from xfreqbench.scene.toml_files import form_errors
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.types import FloatArray
 
 _MOST_TRIES = 10_000  # for the places of the array and of all transmitters
-_DOOR_HEIGHT_M, _DOOR_WIDTH_M, _WINDOW_WIDTH_M = 2.05, (0.8, 1.0), (0.8, 2.4)
-_BESIDE_OPENING_M, _BETWEEN_PARTITIONS_M = 0.15, 1.6
+_BESIDE_OPENING_M = 0.15
 _LIFTED_M, _GAP_M, _BELOW_CEILING_M = 0.02, 0.04, 0.05  # of furniture: off the floor, other things and the ceiling
 _ARRAY_GAP_M, _TX_GAP_M, _TX_FROM_ARRAY_M = 0.45, 0.1, 0.5
-_FROM_CORNER_M, _LEAST_PARTITION_M, _PARTIAL = 0.8, 1.0, (0.4, 0.8)  # of partitions
 Wall = tuple[FloatArray, FloatArray]  # its ends (2,), along it the room is on the left
 _Slab = tuple[str, float | None]  # material and thickness in metres
 
@@ -201,10 +200,10 @@ class _Shell:
     def _opening(self, opening: str) -> tuple[float, float, float]:
         """Width of a door or window, and the heights between which it is open."""
         if opening != "window":
-            return _rounded(self._dice.between(_DOOR_WIDTH_M)), 0.0, _DOOR_HEIGHT_M
+            return _rounded(self._dice.between((0.8, 1.0))), 0.0, 2.05
         low_m = _rounded(self._dice.between(self._kind.sill_m))
         high_m = min(_rounded(low_m + self._dice.between(self._kind.window_height_m)), self._height_m - 0.1)
-        return _rounded(self._dice.between(_WINDOW_WIDTH_M)), low_m, _rounded(high_m)
+        return _rounded(self._dice.between((0.8, 2.4))), low_m, _rounded(high_m)
 
     def _partitions(self) -> list[Wall]:
         """Partitions along x or y, from a wall or another partition to the next, or, if partial, not so far."""
@@ -213,19 +212,19 @@ class _Shell:
             axis = dice.whole((0, 1))
             low_m, high_m = self._outline_m[:, axis].min(), self._outline_m[:, axis].max()
             place_m = _rounded(dice.between((float(low_m), float(high_m))))
-            picked, share = dice.share(), dice.between(_PARTIAL)
+            picked, share = dice.share(), dice.between((0.4, 0.8))
             is_partial, is_from_end = dice.share() < kind.partial, dice.share() < 0.5
             parallel = [start[axis] for start, end in found if start[axis] == end[axis]]
             spans_m = _spans_across(self.walls, found, axis, place_m)
-            is_near = np.abs(self._outline_m[:, axis] - place_m).min() < _FROM_CORNER_M
-            if is_near or not spans_m or any(abs(at - place_m) < _BETWEEN_PARTITIONS_M for at in parallel):
+            is_near = np.abs(self._outline_m[:, axis] - place_m).min() < 0.8
+            if is_near or not spans_m or any(abs(at - place_m) < 1.6 for at in parallel):
                 continue
             first_m, last_m = spans_m[int(picked * len(spans_m))]
             if is_partial and is_from_end:
                 first_m = _rounded(last_m - (last_m - first_m) * share)
             elif is_partial:
                 last_m = _rounded(first_m + (last_m - first_m) * share)
-            if last_m - first_m > _LEAST_PARTITION_M:
+            if last_m - first_m > 1.0:
                 ends_m = np.full((2, 2), place_m)
                 ends_m[:, 1 - axis] = first_m, last_m
                 found.append((ends_m[0], ends_m[1]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import field
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, PositiveFloat, PositiveInt, TypeAdapter, model_validator
@@ -10,7 +11,8 @@ from pydantic.dataclasses import dataclass as record
 
 from xfreqbench.scene.dice import Dice
 from xfreqbench.scene.materials import SceneMaterial, Thickness
-from xfreqbench.scene.model import PositiveMetres, read_toml, shipped_families, toml_content, toml_path, validated
+from xfreqbench.scene.model import PositiveMetres
+from xfreqbench.scene.toml_files import form_errors, load_toml, shipped_families, toml_content
 from xfreqbench.system.arguments import FilePath, only_given
 from xfreqbench.system.files import json_sha256
 
@@ -215,8 +217,13 @@ def load_family(name_or_path: FilePath) -> Family:
 
     Raises `UnknownNameError`, and `SceneError` that names the faults of a file which describes no family.
     """
-    path = toml_path(name_or_path, "family of rooms", shipped_families())
-    return read_toml(path, lambda text: validated(Family, toml_content(text), "family"))
+    return load_toml(name_or_path, "family of rooms", shipped_families(), _parsed)
+
+
+def _parsed(text: str, folder: Path) -> Family:
+    content = toml_content(text)
+    with form_errors("family", Family):
+        return TypeAdapter(Family).validate_python(content)
 
 
 def family_schema() -> dict[str, Any]:

@@ -18,21 +18,17 @@ from xfreqbench.scene.imported import ImportedShape, StatedMaterial, Triangles, 
 from xfreqbench.scene.materials import SceneMaterial
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
-_MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 _FLOAT = 5126
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _WHAT = {1: "index", 3: "position", 4: "rotation"}  # of accessors, by their number of columns
-_ROTATION_TYPES = {_FLOAT: "<f4", 5120: "<i1", 5122: "<i2"}
 _INSTANCES, _VISIBILITY = "EXT_mesh_gpu_instancing", "KHR_node_visibility"
-_HANDLED = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "EXT_lights_", _INSTANCES, _VISIBILITY)
 # say more about nodes and meshes, but move nothing; or have the meshes a second time, compressed
 _HARMLESS = (
     *("KHR_audio", "KHR_collision", "KHR_interactivity", "KHR_node_hover", "KHR_node_select", "KHR_physics", "KHR_xmp"),
     *("EXT_mesh_features", "EXT_instance_features", "EXT_structural_metadata", "EXT_mesh_manifold", "CESIUM_primitive"),
     *("AGI_", "FB_", "GODOT_", "MOZ_", "MSFT_lod", "OMI_", "KHR_draco_mesh_compression", "EXT_meshopt_compression"),
 )
-_LOOKS, _SHAPES = ("materials", "textures", "images", "samplers"), ("nodes", "meshes", "accessors", "bufferViews")
 
 
 def read_glb(content: bytes, materials: Mapping[str, SceneMaterial]) -> Iterator[ImportedShape]:
@@ -52,7 +48,7 @@ def read_glb(content: bytes, materials: Mapping[str, SceneMaterial]) -> Iterator
 def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
     """The JSON of a GLB and its binary buffer."""
     magic, version, length = struct.unpack_from("<4sII", content)
-    if magic != _MAGIC or version != 2:
+    if magic != b"glTF" or version != 2:
         raise ValueError("it is no binary glTF of version 2")
     if length > len(content):
         raise ValueError(f"it ends after {len(content):,} of {length:,} bytes")
@@ -62,23 +58,24 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
         size, kind = struct.unpack_from("<I4s", content, start)
         chunks.setdefault(kind, content[start + 8 : start + 8 + size])
         start += 8 + size
-    header = json.loads(chunks[_JSON].decode("utf-8"))
+    header = json.loads(chunks[b"JSON"].decode("utf-8"))
     if not isinstance(header, dict):
         raise ValueError("its JSON is no object")
-    return header, chunks.get(_BINARY, b"")
+    return header, chunks.get(b"BIN\0", b"")
 
 
 def _check_extensions(header: dict[str, Any]) -> None:
     """Raise `ValueError` for extensions that may change the geometry: those of its parts, and required ones."""
     looks, shapes = (
         {name for kind in kinds for part in header.get(kind, []) for name in part.get("extensions", {})}
-        for kinds in (_LOOKS, _SHAPES)
+        for kinds in (("materials", "textures", "images", "samplers"), ("nodes", "meshes", "accessors", "bufferViews"))
     )
     primitives = (primitive for mesh in header.get("meshes", []) for primitive in mesh.get("primitives", []))
     shapes = shapes.union(*(primitive.get("extensions", {}) for primitive in primitives))
     unknown = [name for name in header.get("extensionsRequired", []) if name in shapes or name not in looks]
     unknown += [name for name in sorted(shapes) if not name.startswith(_HARMLESS)]
-    refused = dict.fromkeys(name for name in unknown if not name.startswith(_HANDLED))
+    handled = "KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "EXT_lights_", _INSTANCES, _VISIBILITY
+    refused = dict.fromkeys(name for name in unknown if not name.startswith(handled))
     if refused:
         raise ValueError(
             f"it uses {', '.join(refused)}, of which nothing is read here; export it without compression and without it"
@@ -125,7 +122,8 @@ def _local_matrix(node: dict[str, Any]) -> Float[FloatArray, "4 4"]:
 
 def _instances(header: dict[str, Any], binary: bytes, node: dict[str, Any]) -> Iterator[Float[FloatArray, "4 4"]]:
     """Matrices that take the mesh of a node to each of its instances, or the one that leaves it where it is."""
-    kinds = {"TRANSLATION": ({_FLOAT: "<f4"}, 3), "ROTATION": (_ROTATION_TYPES, 4), "SCALE": ({_FLOAT: "<f4"}, 3)}
+    plain = {_FLOAT: "<f4"}
+    kinds = {"TRANSLATION": (plain, 3), "ROTATION": (plain | {5120: "<i1", 5122: "<i2"}, 4), "SCALE": (plain, 3)}
     stated = node.get("extensions", {}).get(_INSTANCES, {}).get("attributes", {})
     given = {name: index for name, index in stated.items() if name in kinds}
     if not given:

@@ -26,8 +26,6 @@ from xfreqbench.units import parse_number
 MeshKind = Literal["ply", "stl", "obj"]
 SCENE_SUFFIXES = (".glb", ".obj")  # of files that are a whole scene
 _PLY_FACES = ("vertex_index", "vertex_indices")
-_PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
-_UNREAD = ("surf", "fo", "call")  # of an OBJ: free-form surfaces, an old word for faces, other files
 _UNEXPECTED = "unexpected length"  # what trimesh says of a binary PLY that is cut, or has faces of several sizes
 
 
@@ -152,12 +150,13 @@ def _binary_polygons(content: bytes) -> tuple[list[list[int]], Float[FloatArray,
     header, _, body = content.partition(b"end_header")
     start = body.index(b"\n") + 1
     order: Literal["<", ">"] = ">" if b"binary_big_endian" in header else "<"
+    types = {"char": "i1", "short": "i2", "int": "i4", "uchar": "u1", "ushort": "u2", "uint": "u4", "float": "f4"}
     elements = list[tuple[str, int, list[tuple[Any, ...]]]]()
     for words in map(str.split, header.decode("ascii", "replace").splitlines()):
         if words[:1] == ["element"]:
             elements.append((words[1], int(words[2]), []))
         elif words[:1] == ["property"]:
-            kinds = [np.dtype(_PLY_TYPES.get(word, word)).newbyteorder(order) for word in words[1:-1] if word != "list"]
+            kinds = [np.dtype(types.get(word, word)).newbyteorder(order) for word in words[1:-1] if word != "list"]
             elements[-1][2].append((words[-1], *kinds))
     faces, vertices_m = list[list[int]](), np.zeros((0, 3))
     for name, count, properties in elements:
@@ -244,7 +243,8 @@ def _obj_parts(content: bytes) -> list[_ObjPart]:
     name, material = "unnamed", ""
     for number, line in _logical_lines(_in_utf8(content).decode("utf-8", "surrogateescape")):
         keyword, _, rest = line.partition(" ")
-        if keyword in _UNREAD:
+        # free-form surfaces, an old word for faces, and other files
+        if keyword in ("surf", "fo", "call"):
             raise ValueError(f"line {number} is {keyword!r}, of which nothing is read here; export meshes as faces (f)")
         try:
             if keyword == "v":

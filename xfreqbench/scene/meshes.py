@@ -25,11 +25,7 @@ from xfreqbench.scene.polygons import flat_polygon, is_flat
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
 SIONNA = "sionna:"  # begins the name of a scene that Sionna RT brings
-_UPWARDS = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # takes y upwards to z upwards
 FLAT = 0.01  # a scene is a single wall where its vertices lie within this share of its extent of one plane
-FLOOR_M = 0.3  # the most that a floor is thick, or a room off the middle where it is centred
-NONE_MIRRORS = PatchSize(math.inf, math.inf)
-SLIVER = 1e-9  # a triangle has no plane where twice its area is at most this share of its longest edge squared
 
 
 @dataclass(frozen=True)
@@ -126,7 +122,7 @@ def surface_meshes(scene: Scene) -> list[SurfaceMesh]:
     """
     meshes = []
     for surface in scene.surface:
-        least_patch = None if surface.mirrors is None else NONE_MIRRORS
+        least_patch = None if surface.mirrors is None else PatchSize(math.inf, math.inf)
         meshes.append(_surface_mesh(surface.name, scene.slab_of(surface), _triangles(surface), least_patch))
     return meshes + [_imported_mesh(shape, scene.least_patch) for shape in _imported_shapes(scene)]
 
@@ -157,7 +153,8 @@ def _have_area(corners_m: Float[FloatArray, "K 3 3"]) -> Bool[NDArray[np.bool_],
     edges_m = np.roll(corners_m, -1, axis=1) - corners_m
     doubled_area_m2 = np.linalg.norm(np.cross(edges_m[:, 0], edges_m[:, 1]), axis=1)
     longest_m2 = np.max(np.sum(edges_m**2, axis=2), axis=1)
-    return np.asarray(doubled_area_m2 > SLIVER * longest_m2)
+    # of a longer and thinner triangle no plane is known
+    return np.asarray(doubled_area_m2 > 1e-9 * longest_m2)
 
 
 def _imported_shapes(scene: Scene) -> list[ImportedShape]:
@@ -170,7 +167,8 @@ def _imported_shapes(scene: Scene) -> list[ImportedShape]:
     else:
         shapes = list(bounded(read_xml(path, scene.materials), path))
     up = scene.up or ("y" if path.suffix.lower() == ".glb" else "z")  # glTF says y; OBJ says nothing, Mitsuba takes z
-    turns = {"y": _UPWARDS, "z": np.eye(3)}
+    # the first takes y upwards to z upwards
+    turns = {"y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), "z": np.eye(3)}
     if scene.up is None and not scene.scene.startswith(SIONNA):
         _require_upright(scene, path, shapes, turns, up)
     matrix = UNIT_M[scene.unit or "m"] * turns[up]
@@ -204,7 +202,8 @@ def _require_upright(
 
     if any(holds(other, some) and not holds(up, some) for some in (points_m[:1], points_m)):
         fault = f"the receiver at {points_m[0].tolist()}, or the grid, stands outside of all that it holds, and inside"
-    elif abs(turned_low_m) < FLOOR_M < -low_m and abs(low_m + high_m) < FLOOR_M and holds(other, points_m):
+    # 0.3 m: the most that a floor is thick, or a room off the middle where it is centred
+    elif abs(turned_low_m) < 0.3 < -low_m and abs(low_m + high_m) < 0.3 and holds(other, points_m):
         fault = f"its height goes from {low_m:.4g} to {high_m:.4g} m, and it would stand on height 0"
     else:
         return

@@ -42,7 +42,6 @@ Element = ElementTree.Element
 
 MAX_INCLUDES = 100  # files that one scene may include in all
 MAX_EXPANDED = 1_000_000  # characters that `$name` may become in all
-_SPHERE_SUBDIVISIONS = 3  # 1,280 triangles
 _SCATTERING = {  # fields of `Scattering`, and their names in Sionna RT
     "coefficient": "scattering_coefficient",
     "pattern": "scattering_pattern",
@@ -58,17 +57,12 @@ _OWN_PROPERTIES = {
     "radio-material": {"relative_permittivity": "float", "conductivity": "float"},
     "absorber-radio-material": {},
 }
-_COLOURS = ("color", "reflectance", "base_color")
 _FORMS = ("rectangle", "cube", "sphere")
 _FILES = get_args(MeshKind)
 _OF_SHAPES = {  # properties that Mitsuba has, and the element of each
     **dict.fromkeys(("flip_normals", "face_normals", "flip_tex_coords"), "boolean"),
     "silhouette_sampling_weight": "float",
 }
-_OF_KIND = {"sphere": {"center": "point", "radius": "float"}, **{kind: {"filename": "string"} for kind in _FILES}}
-_OBJECTS = ("bsdf", "ref", "emitter", "sensor", "medium", "texture", "transform")  # in shapes, but no properties
-_ATTRIBUTES = ("x", "y", "z", "value", "angle", "name", "id")  # of points, steps of transforms and numbers
-FLAT = 1e-12  # a matrix is singular where its determinant is this share of its columns' lengths
 
 
 def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[ImportedShape]:
@@ -251,7 +245,7 @@ def _check_properties(bsdf: Element, name: str, path: Path) -> None:
     met = set[str]()
     for child in bsdf:
         given = child.get("name", "")
-        if child.tag in ("bsdf", "ref") or given in _COLOURS:
+        if child.tag in ("bsdf", "ref") or given in ("color", "reflectance", "base_color"):
             continue
         fault = None
         if given not in known and (kind in _OWN_PROPERTIES or _is_slip(given)):
@@ -334,8 +328,12 @@ def _finite(text: str) -> float:
 
 def _check_shape(shape: Element, kind: str, where: str) -> None:
     """Raise `SceneError` or `UnknownNameError` for a property of a shape that would be passed over."""
-    known = _OF_SHAPES | _OF_KIND.get(kind, {})
-    given = [(child.get("name", ""), child.tag) for child in shape if child.tag not in _OBJECTS]
+    known = _OF_SHAPES | {
+        "sphere": {"center": "point", "radius": "float"},
+        **{kind: {"filename": "string"} for kind in _FILES},
+    }.get(kind, {})
+    objects = "bsdf", "ref", "emitter", "sensor", "medium", "texture", "transform"  # which are no properties
+    given = [(child.get("name", ""), child.tag) for child in shape if child.tag not in objects]
     for name, tag in given:
         if name not in known:
             raise UnknownNameError(f"property of a {kind}, as in {where}, called", name, known)
@@ -367,7 +365,7 @@ def _form(shape: Element, kind: str, where: str) -> Triangles:
 def _unit_sphere() -> Triangles:
     import trimesh
 
-    return Triangles.of(trimesh.creation.icosphere(subdivisions=_SPHERE_SUBDIVISIONS))
+    return Triangles.of(trimesh.creation.icosphere(subdivisions=3))  # of 1,280 triangles
 
 
 def _placed(triangles: Triangles, shape: Element, where: str) -> Triangles:
@@ -401,14 +399,14 @@ def affine_transform(transform: ElementTree.Element, where: str) -> Float[FloatA
     if not (np.abs(whole) < 1e100).all():  # beyond, the products of three below overflow
         raise SceneError(f"{where} has a <transform> that moves it beyond every number.")
     lengths = np.linalg.norm(whole[:3, :3], axis=0)
-    if not abs(np.linalg.det(whole[:3, :3])) > FLAT * np.prod(lengths):
+    if not abs(np.linalg.det(whole[:3, :3])) > 1e-12 * np.prod(lengths):
         raise SceneError(f"{where} has a <transform> that flattens it; no scale may be 0.")
     return whole
 
 
 def vector(element: ElementTree.Element, where: str, default: float = 0.0) -> Float[FloatArray, "3"]:
     """The three numbers of an element: from `x`, `y` and `z`, each with a default, or from one or three in `value`."""
-    if unknown := set(element.attrib).difference(_ATTRIBUTES):
+    if unknown := set(element.attrib).difference(("x", "y", "z", "value", "angle", "name", "id")):
         raise SceneError(f"{where} has a <{element.tag}> with {min(unknown)!r}; give x, y and z, or value.")
     if "value" not in element.attrib:
         return np.array([_numbers(element.get(axis, str(default)), element, where, 1)[0] for axis in "xyz"])

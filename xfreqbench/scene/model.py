@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import fields, is_dataclass, replace
-from functools import cached_property, partial
-from importlib import resources
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
 from math import atan2, degrees, hypot, isclose, prod
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, cast, get_args, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, cast, get_args
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError, model_serializer, model_validator
+from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, model_serializer, model_validator
 from pydantic.dataclasses import dataclass
 
 from xfreqbench.errors import SceneError, UnknownNameError
@@ -30,16 +27,14 @@ from xfreqbench.scene.array import (
 from xfreqbench.scene.imported import Slab, rough
 from xfreqbench.scene.materials import LayeredMaterial, SceneMaterial, Thickness, as_fault_of, material_named
 from xfreqbench.scene.polygons import MAX_CORNERS, flat_polygon
+from xfreqbench.scene.toml_files import form_errors, load_toml, shipped_families, shipped_scenes, toml_content
 from xfreqbench.system.arguments import FilePath, checked, only_given
-from xfreqbench.system.files import read_text
 from xfreqbench.types import FloatArray
 
 FAR_M = 1e7  # no coordinate may be farther from the origin
-LEAST_EXTENT_WAVELENGTHS = 0.05  # of an array; any two maps of a smaller one have an SSIM above .998
 NEAR_M = 32.0  # from the origin, where single precision holds coordinates to 4 µm
 MAX_CANDIDATES = 1_000_000  # positions of a transmitter grid, which take minutes to place, and 650 GB at ten carriers
 
-Parsed = TypeVar("Parsed")
 Metres = Annotated[float, Field(ge=-FAR_M, le=FAR_M, allow_inf_nan=False)]
 Point = tuple[Metres, Metres, Metres]
 Quaternion = tuple[Metres, Metres, Metres, Metres]
@@ -55,10 +50,7 @@ Orientation = tuple[Degrees, Degrees, Degrees]  # bearing, downtilt and slant: s
 _STRICT = ConfigDict(extra="forbid")
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
 UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
-_OF_FILE = ("up", "unit", "mirrors", "least_patch_area_m2", "least_patch_width_m")  # of a scene
-_MOST_FAULTS, _MOST_DOTS = 20, 10_000
-_NOT_IN_TOML = {"folder", "other_receivers"}
-_ALWAYS_WRITTEN = {"name", "receiver", "description", "surface", "scene"}  # in JSON; other fields if they are given
+_MOST_DOTS = 10_000
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -172,13 +164,9 @@ class ReceiverArray:
         return {key: value for key, value in serialize(self).items() if key not in default or value != default[key]}
 
     @model_validator(mode="after")
-    def _looks_somewhere(self) -> ReceiverArray:
+    def _boresight_is_the_pole(self) -> ReceiverArray:
         if max(map(abs, self.boresight)) < 1e-6:
             raise ValueError("the receiver's boresight is the zero vector; give a direction like [0, 0, -1]")
-        return self
-
-    @model_validator(mode="after")
-    def _boresight_is_the_pole_of_the_orientation(self) -> ReceiverArray:
         if self.orientation is None:
             return self
         if not np.linalg.norm(self.orientation) > 1e-6:
@@ -208,7 +196,8 @@ class ReceiverArray:
     @property
     def resolves_directions(self) -> bool:
         """Whether maps tell directions; those of one element, or of elements nearly at one point, hardly vary."""
-        return (max(self.rows, self.cols) - 1) * self.spacing_wavelengths >= LEAST_EXTENT_WAVELENGTHS
+        # any two maps of a smaller array have an SSIM above .998
+        return (max(self.rows, self.cols) - 1) * self.spacing_wavelengths >= 0.05
 
     @property
     def rotation(self) -> Float[FloatArray, "3 3"]:
@@ -344,29 +333,23 @@ class Scene:
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_given(self, serialize: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        return {key: value for key, value in serialize(self).items() if key in _ALWAYS_WRITTEN or value}
+        always = {"name", "receiver", "description", "surface", "scene"}
+        return {key: value for key, value in serialize(self).items() if key in always or value}
 
     @model_validator(mode="after")
-    def _receiver_faces_its_pole(self) -> Scene:
+    def _agrees_with_itself(self) -> Scene:
         if self.receiver.plane != "xy":
             raise ValueError(
                 f"the receiver lies in plane {self.receiver.plane!r} of its frame; rays are traced to arrays in "
                 "'xy' alone, which is the default: leave the plane out"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _says_of_a_file_only_what_is_there(self) -> Scene:
-        given = [name for name in _OF_FILE if getattr(self, name)]
+        of_file = "up", "unit", "mirrors", "least_patch_area_m2", "least_patch_width_m"
+        given = [name for name in of_file if getattr(self, name)]
         if given and self.scene is None:
             raise ValueError(
                 f"{given[0]!r} is about the meshes of a file, but the scene names none: name it, as in scene = "
                 f'"room.glb", or leave {given[0]!r} out; lengths of surfaces are in metres'
             )
-        return self
-
-    @model_validator(mode="after")
-    def _names_are_unique_and_materials_known(self) -> Scene:
         receivers = self.receivers if self.other_receivers else ()
         if not all(receiver.name for receiver in receivers):
             raise ValueError('of several receivers each needs a name of its own, as in name = "north"')
@@ -477,113 +460,6 @@ class Scene:
         return TypeAdapter(Scene).dump_json(self, exclude={"folder"}).decode()
 
 
-def shipped_scenes() -> dict[str, str]:
-    """Names and descriptions of the scenes that ship with the toolkit."""
-    return {name: content["description"] for name, content in _shipped().items() if "type" not in content}
-
-
-def shipped_families() -> dict[str, str]:
-    """Names and descriptions of the families of rooms that ship with the toolkit."""
-    return {name: content["description"] for name, content in _shipped().items() if "type" in content}
-
-
-def _shipped() -> dict[str, dict[str, Any]]:
-    return {path.stem: tomllib.loads(read_text(path)) for path in sorted(shipped_folder().glob("*.toml"))}
-
-
-def shipped_toml(name: str) -> str:
-    """The TOML of a scene or family that ships, with whole paths to its meshes; raises `UnknownNameError`."""
-    if name not in (names := _shipped()):
-        raise UnknownNameError("scene", name, names)
-    text = read_text(shipped_folder() / f"{name}.toml")
-    return text.replace('\nscene = "', f'\nscene = "{shipped_folder()}/')
-
-
-def shipped_folder() -> Path:
-    """Where the scenes that ship with the toolkit are, with their meshes."""
-    return Path(str(resources.files("xfreqbench.scenes")))
-
-
-def toml_path(name_or_path: str | Path, kind: str, shipped: Iterable[str]) -> Path:
-    """The path of a TOML file as it is given, or of the one that ships by that name; raises `UnknownNameError`."""
-    given = str(name_or_path)
-    if given.endswith(".toml"):
-        return Path(given)
-    if given not in (names := list(shipped)):
-        raise UnknownNameError(kind, given, [*names, "PATH.toml"])
-    return shipped_folder() / f"{given}.toml"
-
-
-def read_toml(path: Path, parse: Callable[[str], Parsed]) -> Parsed:
-    """What `parse` makes of the text of a file; raises `SceneError` that names the file."""
-    try:
-        return parse(read_text(path))
-    except OSError as error:
-        raise SceneError(f"The scene file {path} cannot be read: {error.strerror}.") from error
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{path} is no text in UTF-8 ({error}). Save it in that encoding.") from error
-    except SceneError as error:
-        raise SceneError(f"{path}: {error}") from error
-
-
-def toml_content(text: str) -> dict[str, Any]:
-    """The content of TOML text; raises `SceneError`."""
-    if any(part.count(".") > _MOST_DOTS for part in text.split("=")):  # which would take the parser minutes
-        raise SceneError(f"a key or value has more than {_MOST_DOTS:,} points. Write shorter ones.")
-    try:
-        return tomllib.loads(text)
-    except RecursionError as error:
-        raise SceneError("this is not TOML that can be read: it is nested too deeply") from error
-    except ValueError as error:  # not TOML, or numbers of thousands of digits
-        raise SceneError(f"this is not TOML: {error}") from error
-
-
-def validated(kind: type[Parsed], content: dict[str, Any], what: str) -> Parsed:
-    """The content of a file of scenes as a scene or a family; raises `SceneError` that lists every fault."""
-    with form_errors(what, kind):
-        return TypeAdapter(kind).validate_python(content)
-
-
-@contextmanager
-def form_errors(what: str, kind: type) -> Iterator[None]:
-    """A block in which faults of form become a `SceneError` that lists them; `what` is to be a dataclass `kind`."""
-    try:
-        yield
-    except ValidationError as error:
-        faults = error.errors()
-        words = [f"  {_place(*fault['loc']) or what}: {_fault_words(kind, fault)}" for fault in faults[:_MOST_FAULTS]]
-        words += [f"  and {len(faults) - len(words)} more"] * (len(faults) > len(words))
-        raise SceneError("\n".join([f"the {what} has no valid form:", *words])) from error
-
-
-def _place(*location: int | str) -> str:
-    """Where in a file a fault is, as in `receiver.1.rows`: the other receivers of a scene are `[[receiver]]` there."""
-    if location[:1] == ("other_receivers",) and len(location) > 1:
-        location = ("receiver", int(location[1]) + 1, *location[2:])
-    return ".".join(map(str, location))
-
-
-def _fault_words(kind: type, fault: Any) -> str:
-    """What Pydantic finds wrong, in words; of an unknown key the nearest one, and all that may stand in its place."""
-    if fault["type"] not in ("unexpected_keyword_argument", "extra_forbidden"):
-        return str(fault["msg"]).removeprefix("Value error, ")
-    *tables, key = fault["loc"]
-    for table in tables:
-        hints: Any = get_type_hints(kind)
-        kind = next(_dataclasses_in(hints[table])) if isinstance(table, str) else kind
-    return str(
-        UnknownNameError("key", str(key), (field.name for field in fields(kind) if field.name not in _NOT_IN_TOML))
-    )
-
-
-def _dataclasses_in(hint: Any) -> Iterator[type]:
-    """The dataclasses that a type hint names."""
-    if is_dataclass(hint):
-        yield cast("type", hint)
-    for part in get_args(hint):
-        yield from _dataclasses_in(part)
-
-
 @checked
 def load_scene(name_or_path: FilePath) -> Scene:
     """Read a shipped scene by name, or any scene by the path of its TOML file, which ends in `.toml`.
@@ -591,8 +467,7 @@ def load_scene(name_or_path: FilePath) -> Scene:
     Raises `UnknownNameError` for a name that does not ship and `SceneError` for a file that cannot be
     read or that describes no valid scene, every fault listed with its place in the file.
     """
-    path = toml_path(name_or_path, "scene", _shipped())
-    return read_toml(path, partial(parse_scene, folder=path.parent))
+    return load_toml(name_or_path, "scene", [*shipped_scenes(), *shipped_families()], parse_scene)
 
 
 @checked
@@ -609,7 +484,8 @@ def parse_scene(text: str, folder: Path = Path()) -> Scene:
     if isinstance(content.get("receiver"), list):  # [[receiver]], once or several times
         first, *others = content["receiver"] or [{}]
         content = {**content, "receiver": first, "other_receivers": others}
-    return validated(Scene, {**content, "folder": folder}, "scene")
+    with form_errors("scene", Scene):
+        return TypeAdapter(Scene).validate_python({**content, "folder": folder})
 
 
 def scene_schema() -> dict[str, Any]:

@@ -14,9 +14,7 @@ from xfreqbench.scene.patches import rounding_m, sides_m
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_point
 
-MIN_OVERLAP_M = 1e-4  # edges may touch, and PLY files hold float32
-NEAR_M, NEAR_OVERLAP_M = 1e-3, 0.02  # surfaces that are nearer, and share more, were most likely meant to be one
-MAX_PAIRS = 250_000  # looked at together
+NEAR_M = 1e-3  # surfaces that are nearer, and share more, were most likely meant to be one
 _MAX_NAMED = 10  # overlaps in a message
 _MORTON_BITS = 10  # of each axis
 
@@ -33,7 +31,8 @@ def check_overlaps(geometry: Geometry) -> None:
     slabs = slabs_of(geometry.meshes)
     slab = np.array([slabs.index(mesh.slab) for mesh in geometry.meshes])[geometry.mesh_of_triangle]
     found: dict[str, str] = {}  # a place by the two names
-    for pair in _overlapping(corners_m, slab, PLANE_TOLERANCE, MIN_OVERLAP_M):
+    # edges may touch, and PLY files hold float32
+    for pair in _overlapping(corners_m, slab, PLANE_TOLERANCE, 1e-4):
         a, b = (geometry.meshes[mesh] for mesh in sorted(geometry.mesh_of_triangle[list(pair)]))
         names = f"{a.name!r} ({a.material}) and {b.name!r} ({b.material})"
         if names not in found:
@@ -57,7 +56,7 @@ def nearly_in_one_plane(geometry: Geometry) -> str | None:
     corners_m = triangle_corners_m(geometry.meshes)
     if not len(corners_m):
         return None
-    pair = next(_overlapping(corners_m, geometry.mesh_of_triangle, NEAR_M, NEAR_OVERLAP_M), None)
+    pair = next(_overlapping(corners_m, geometry.mesh_of_triangle, NEAR_M, 0.02), None)
     if pair is None:
         return None
     large_m, small_m = corners_m[list(pair)]
@@ -99,7 +98,8 @@ def _overlapping(
         if level > 0:
             halves = (2 * pairs[:, None] + np.array([[0, 0, 1, 1], [0, 1, 0, 1]])[:, :, None]).reshape(2, -1)
             meeting = _meeting(levels[level - 1], halves)
-            parts = np.array_split(meeting, len(meeting.T) // MAX_PAIRS + 1, axis=1)
+            # so many are looked at together
+            parts = np.array_split(meeting, len(meeting.T) // 250_000 + 1, axis=1)
             waiting += [(level - 1, part) for part in parts if part.size]
             continue
         pairs = order[pairs]

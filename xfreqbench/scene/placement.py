@@ -18,7 +18,7 @@ from xfreqbench.scene.visibility import distance_to_surfaces, enclosing_mesh, se
 from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz, format_point
 
-HIGHEST_ROOM_M, HIGHEST_SCENE_M = 60.0, 1000.0  # what is higher is asked for its unit
+HIGHEST_ROOM_M = 60.0  # what is higher is asked for its unit
 MIN_SEPARATION_M = 0.01  # Sionna RT drops every path with a shorter segment
 
 
@@ -180,7 +180,7 @@ def _check_height(scene: Scene, meshes: Sequence[SurfaceMesh]) -> None:
     height_m = np.outer([HIGHEST_ROOM_M, beyond_m, -HIGHEST_ROOM_M, -beyond_m], [0.0, 0.0, 1.0])
     free_above, has_no_roof, free_below, has_no_floor = sees(meshes, receiver_m + height_m, receiver_m)
     is_high_room = (free_above or free_below) and not (has_no_roof or has_no_floor)
-    if is_high_room or high_m[2] - low_m[2] > HIGHEST_SCENE_M:
+    if is_high_room or high_m[2] - low_m[2] > 1000.0:
         raise SceneError(
             f"Scene {scene.name!r} measures {_size(meshes)}; its room is more than {HIGHEST_ROOM_M:g} m high. Say in "
             "its TOML what its mesh file is in: unit = 'mm', 'cm', 'in' or 'ft', or unit = 'm' if it is in metres."

@@ -19,7 +19,6 @@ from xfreqbench.units import parse_number
 
 _NAME = re.compile(r"([xyz])(?:_m| ?\[m\]| ?\(m\))?", re.IGNORECASE)
 _ANY_UNIT = re.compile(r"([xyz])(?:_\w+| ?\[.*\]| ?\(.*\))?", re.IGNORECASE)
-_SEPARATORS = ";\t, "
 _ADVICE = (
     "Write x,y,z into its first line, and into every other line a position: x,y,z in metres, three finite numbers with "
     "decimal points, and in each line as many cells. Columns of other names are left out."
@@ -120,7 +119,7 @@ def read_table(path: Path) -> Table:
 
 
 def _separator(line: str) -> str:
-    return next((each for each in _SEPARATORS if each in line), ",")
+    return next((each for each in ";\t, " if each in line), ",")
 
 
 def _cells(line: str, separator: str = "") -> list[str]:

@@ -5,7 +5,7 @@ A found plane shows surfaces directly, or as an image in another found plane.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,10 +14,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 from pydantic import ValidationError
 
+from xfreqbench import RunRecord, read_records
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, UnknownNameError
-from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.records import RunRecord
 from xfreqbench.scene.facets import PlanarFacet, group_by_plane, planar_facets
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import SlabMaterial
@@ -33,8 +32,6 @@ from ..stored import FoundPlane, FoundSlab, StoredFindings
 
 MATCH_DISTANCE_M = 0.05  # a found plane further from every surface shows none of them
 MATCH_TILT_RAD = float(np.radians(2))
-_MIN_SHARE = 0.01  # a surface with a smaller share of a found plane is not named
-_TOWARDS_ARRAY = 1e-6  # points on a surface move by this share of the way, so that it does not hide them itself
 _ON_PLANE_M = 1e-6
 
 TrueSlab = tuple[SlabMaterial, float]  # a material, and the thickness in metres
@@ -90,7 +87,7 @@ class Match:
         shares: dict[int, float] = {}
         for facet, share in zip(self.plane.facets, self.share.tolist(), strict=True):
             shares[facet.surface] = shares.get(facet.surface, 0.0) + share
-        named = [surface for surface, share in shares.items() if share >= _MIN_SHARE]
+        named = [surface for surface, share in shares.items() if share >= 0.01]
         return tuple(sorted(named, key=lambda surface: -shares[surface]))
 
     def slabs(self, meshes: Sequence[SurfaceMesh]) -> dict[TrueSlab, float]:
@@ -147,7 +144,8 @@ def share_in_sight(plane: ScenePlane, meshes: Sequence[SurfaceMesh], array_m: Ve
     """The share of a plane's facets that the array sees, judged by their centres and points near their corners."""
     corners_m = [facet.corners_m for facet in plane.facets]
     points_m = np.concatenate([np.vstack([c.mean(0), c.mean(0) + 0.8 * (c - c.mean(0))]) for c in corners_m])
-    return float(sees(meshes, points_m + _TOWARDS_ARRAY * (array_m - points_m), array_m).mean())
+    # a millionth of the way to the array, so that a surface does not hide its own points
+    return float(sees(meshes, points_m + 1e-6 * (array_m - points_m), array_m).mean())
 
 
 def _nearest(
@@ -229,47 +227,21 @@ def _mirrored(facets: Sequence[PlanarFacet], mirror: ScenePlane, array_m: Vector
     return images
 
 
-MAX_IMAGE_ORDER = 2
-_LEAST_POWER = 1e-4  # −40 dB relative to the line of sight: weaker images are not shown
-
-
-@dataclass(frozen=True, eq=False)
-class Reflection:
-    """Magnitude of the reflection coefficient at normal incidence, as learned and by ITU-R P.2040."""
-
-    carrier_hz: Float[FloatArray, "F"]
-    learned: Float[FloatArray, "F"]
-    truth: Float[FloatArray, "F"]
-
-    @property
-    def difference(self) -> Float[FloatArray, "F"]:
-        """Distance between the two magnitudes, at each carrier."""
-        return np.abs(self.learned - self.truth)
-
-
-@dataclass(frozen=True, eq=False)
-class ImageSource:
-    """Where a transmitter seems to be after it is mirrored in found planes, given in the order of the bounces."""
-
-    planes: tuple[int, ...]
-    power: float
-    position_m: Vector
-
-
-def reflection(
+def reflection_difference(
     slabs: Sequence[FoundSlab], truth: Mapping[TrueSlab, float], carrier_hz: Float[FloatArray, "F"]
-) -> Reflection:
-    """|R| of learned slabs and of true ones, each mixed by shares; what the shares leave open reflects nothing."""
+) -> Float[FloatArray, "F"]:
+    """How far |R| of learned slabs is from that of true ones at normal incidence, at each of F carriers.
+
+    Both are mixed by shares; what the shares leave open reflects nothing.
+    """
     carriers, normal = carrier_hz.tolist(), np.ones(1)
-    learned, true = [nothing := np.zeros(len(carriers), dtype=np.complex128)], [nothing]
+    learned, true = np.zeros((2, len(carriers)), dtype=np.complex128)
     for slab in slabs:
         permittivity = [slab.permittivity_at(carrier) for carrier in carriers]
-        reflected = slab_reflection(permittivity, slab.thickness_m, carriers, normal)
-        learned.append(slab.share * reflected[:, 0, 0])
+        learned += slab.share * slab_reflection(permittivity, slab.thickness_m, carriers, normal)[:, 0, 0]
     for kind, share in truth.items():
-        reflected = np.array([true_reflection(kind, carrier, normal)[0, 0] for carrier in carriers])
-        true.append(share * reflected.astype(np.complex128))
-    return Reflection(carrier_hz, np.abs(sum(learned)), np.abs(sum(true)))
+        true += share * np.array([true_reflection(kind, carrier, normal)[0, 0] for carrier in carriers])
+    return np.abs(np.abs(learned) - np.abs(true))
 
 
 def true_reflection(
@@ -279,16 +251,19 @@ def true_reflection(
     return slab_response(Slab(*slab), carrier_hz, cosine, "extrapolate")[:, :2]
 
 
-def virtual_sources(findings: StoredFindings, tx_position_m: Vector) -> list[ImageSource]:
-    """Images of a transmitter after 1 to `MAX_IMAGE_ORDER` bounces, the strongest first."""
-    sources = []
+def virtual_sources(findings: StoredFindings, tx_position_m: Vector) -> dict[tuple[int, ...], Vector]:
+    """Where a transmitter seems to be after one or two bounces, by the planes in their order, the strongest first.
+
+    Images below −40 dB relative to the line of sight are left out.
+    """
+    sources = {}
     for image in findings.images:
         position_m = tx_position_m
         for plane in (findings.planes[index] for index in image.planes):
             beyond_m = plane.unit_normal @ (position_m - findings.array_m) - plane.distance_m
             position_m = position_m - 2 * beyond_m * plane.unit_normal
-        if 0 < len(image.planes) <= MAX_IMAGE_ORDER:
-            sources.append(ImageSource(image.planes, image.power, position_m))
+        if 0 < len(image.planes) <= 2 and image.power >= 1e-4:
+            sources[image.planes] = position_m
     return sources
 
 
@@ -299,34 +274,27 @@ def choose_record(
 
     Raises `DataError` where no record has findings, `UnknownNameError` where none of those fits.
     """
-    folder = ResultsFolder.holding(results)
-    path, records = folder.records_path, folder.records
+    records = read_records(results)
     if not records:
-        raise DataError(f"{path} holds no records of runs. Run `xfreqbench run` first, or correct the path.")
-    explained = [record for record in records if "planes" in record.findings]
-    if not explained:
+        raise DataError(f"{results} holds no records of runs. Run `xfreqbench run` first, or correct the path.")
+    found = [record for record in records if "planes" in record.findings]
+    if not found:
         methods = ", ".join(sorted({record.job.method for record in records}))
         raise DataError(
-            f"No record in {path} has findings; its methods are {methods}. Run a method that tells what it "
+            f"No record in {results} has findings; its methods are {methods}. Run a method that tells what it "
             "has learned, such as virtual-source."
         )
-    explained = _only(explained, "run with findings on split", split, lambda record: record.job.split)
-    explained = _only(explained, "run with findings of seed", seed, lambda record: record.job.seed)
-    chosen = [record for record in explained if record.id.startswith(id_prefix or "")]
-    if not chosen:
-        raise UnknownNameError(
-            "record with findings whose id begins with", str(id_prefix), {record.id for record in explained}
-        )
-    return max(chosen, key=lambda record: record.time_utc)
-
-
-def _only(
-    records: list[RunRecord], kind: str, given: object, value_of: Callable[[RunRecord], object]
-) -> list[RunRecord]:
-    chosen = [record for record in records if given is None or value_of(record) == given]
-    if not chosen:
-        raise UnknownNameError(kind, str(given), {str(value_of(record)) for record in records})
-    return chosen
+    for what, asked, name_of, fits in (
+        ("run with findings on split", split, lambda record: record.job.split, str.__eq__),
+        ("run with findings of seed", seed, lambda record: str(record.job.seed), str.__eq__),
+        ("record with findings whose id begins with", id_prefix, lambda record: record.id, str.startswith),
+    ):
+        if asked is not None:
+            names = {name_of(record) for record in found}
+            found = [record for record in found if fits(name_of(record), str(asked))]
+            if not found:
+                raise UnknownNameError(what, str(asked), names)
+    return max(found, key=lambda record: record.time_utc)
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,31 +354,14 @@ class ComparedFindings:
         return not_found(self.matches, self.planes)
 
     @cached_property
-    def reflections(self) -> list[Reflection | None]:
-        """|R| of each found plane at the data's carriers; None where it shows no surface directly, or holds nothing."""
-        found: list[Reflection | None] = []
-        for match, plane in zip(self.matches, self.findings.planes, strict=True):
-            if match is None or match.mirror is not None or not any(slab.share for slab in plane.slabs):
-                found.append(None)
-            else:
-                truth = match.slabs(self.meshes)
-                found.append(reflection(plane.slabs, truth, self.dataset.header.carrier_hz))
-        return found
-
-    @cached_property
     def tx(self) -> int:
         """Index of the transmitter whose virtual sources are shown."""
         return median_transmitter(self.dataset.tables["tx_position_m"])
 
     @property
     def tx_m(self) -> Vector:
-        """Position of that transmitter."""
+        """Position of that transmitter in metres."""
         return np.asarray(self.dataset.tables["tx_position_m"][self.tx], dtype=np.float64)
-
-    @cached_property
-    def sources(self) -> list[ImageSource]:
-        """Images of that transmitter with a power of at least `_LEAST_POWER`, the strongest first."""
-        return [source for source in virtual_sources(self.findings, self.tx_m) if source.power >= _LEAST_POWER]
 
     def surface(self, index: int) -> str:
         """What the found plane with this index shows, in words."""

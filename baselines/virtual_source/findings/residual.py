@@ -7,6 +7,7 @@ findings runs through its point, is parallel to the surface there, and holds som
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -14,25 +15,23 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
+from xfreqbench import load_predictions, read_records
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.splits import find_split
 from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.maps.metrics import psnr, ssim
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
-from xfreqbench.report.drawing.markdown import heading, literal, number, table, with_interval
-from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.predictions import Predictions
-from xfreqbench.runs.records import RunRecord
-from xfreqbench.runs.scoring import BATCH_SIZE
 from xfreqbench.scene.facets import Geometry
-from xfreqbench.system.files import require_own, require_space, write_text
+from xfreqbench.system.files import write_text
 from xfreqbench.tracing.image.tracer import ImageTracer, can_solve
 from xfreqbench.tracing.paths import DIFFRACTION, REFRACTION, SPECULAR, Paths, spherical_waves
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray, IntArray, NDArray, ProgressCallback
+from xfreqbench.types import FloatArray, IntArray, Maps, NDArray, ProgressCallback
 
 from ..search.planes import Vector
 from ..stored import FoundPlane, StoredFindings
 from .compared import ComparedFindings
+from .text import Table, claim, literal, number, table
 
 FOUND_DISTANCE_M = 0.005  # added to three standard deviations of the plane's distance
 FOUND_TILT_RAD = 0.002
@@ -154,40 +153,29 @@ def _distance_m(point_m: Float[FloatArray, "*S 3"], corners_m: Float[FloatArray,
 
 
 DRAW_SEED = 0
-_NUM_QUARTERS = 4
-_SCORE_COLUMNS = ("map of", "SSIM", "in sight", "shadowed", "PSNR (dB)")
-_GROUP_COLUMNS = ("transmitters", "number", "share not found", "SSIM", "in sight", "shadowed")
-
-
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """Scores of n maps, in the order of their rows."""
-
-    ssim: Float[FloatArray, "n"]
-    psnr: Float[FloatArray, "n"]
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualPlan:
-    """What is scored: `rows` of the data set, ascending, and stored predictions by label, the method's first."""
+    """What is scored: drawn `samples` of the data set, and maps of them by label, those of the method first."""
 
     compared: ComparedFindings
     settings: TraceSettings
-    predictions: dict[str, Predictions]
-    rows: Int[IntArray, "n"]
+    samples: PasDataset
+    predicted: dict[str, Maps]
 
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """Scores by label, of what was predicted and of true paths with some left out; the method's come first.
+    """SSIM and PSNR by label, of what was predicted and of true paths with some left out; the method's come first.
 
     `share_not_found` is the share of the true power, at a row's carrier, that comes over edges or over paths which are
     not found.
     """
 
     compared: ComparedFindings
-    scores: dict[str, Scores]
     samples: PasDataset
+    scores: dict[str, Float[FloatArray, "2 n"]]
     share_not_found: Float[FloatArray, "n"]
 
 
@@ -199,18 +187,31 @@ def plan_residual(results: Path, compared: ComparedFindings, num_tx: int) -> Res
     """
     if num_tx < 1:
         raise XFreqBenchError(f"--tx takes a number of transmitters from 1 on, but got {num_tx}.")
-    settings = _settings_of(compared)
-    folder = ResultsFolder.holding(results)
-    record = compared.record
-    predictions = {f"{record.job.method}, as predicted": folder.predictions(record)}
-    if trivial := _best_trivial(record, folder):
-        predictions[f"{trivial.job.method}, the best trivial predictor"] = folder.predictions(trivial)
-    tested = next(iter(predictions.values())).rows
-    for predicted in predictions.values():
-        predicted.require_of(compared.dataset)
-        if not np.array_equal(predicted.rows, tested):
-            raise DataError(f"{predicted.path} holds other rows of {record.job.split}. Delete it and run again.")
-    return ResidualPlan(compared, settings, predictions, drawn_rows(compared.dataset, tested, num_tx))
+    dataset, record = compared.dataset, compared.record
+    settings = dataset.trace_settings
+    if not can_solve(Geometry(compared.meshes), settings):
+        raise DataError(
+            f"{dataset.path} was traced with {', '.join(settings.named_interactions)} to depth "
+            f"{settings.max_depth}, but exact paths are known for specular, refraction and diffraction among planar "
+            "facets alone. Use a data set of `xfreqbench generate --solver image`."
+        )
+    tested = find_split(dataset, record.job.protocol, record.job.split).test
+    rows = drawn_rows(dataset, tested, num_tx)
+    predicted = {f"{record.job.method}, as predicted": load_predictions(results, record, rows.tolist())}
+    trivial = [
+        other
+        for other in read_records(results)
+        if other.job.method in EVERY_TRIVIAL
+        and not other.job.overrides
+        and other.external is None
+        and (other.dataset_sha256, other.split_sha256) == (record.dataset_sha256, record.split_sha256)
+    ]
+    for other in sorted(trivial, key=lambda other: -other.scores["ssim"].median):
+        with suppress(DataError):  # its predictions were not kept
+            label = f"{other.job.method}, the best trivial predictor"
+            predicted[label] = load_predictions(results, other, rows.tolist())
+            break
+    return ResidualPlan(compared, settings, dataset.subset(rows), predicted)
 
 
 def drawn_rows(dataset: PasDataset, tested: Int[IntArray, "n"], num_tx: int) -> Int[IntArray, "m"]:
@@ -222,25 +223,20 @@ def drawn_rows(dataset: PasDataset, tested: Int[IntArray, "n"], num_tx: int) -> 
 
 def compute_residual(plan: ResidualPlan, tracing: ProgressCallback, scoring: ProgressCallback) -> Residual:
     """Trace the drawn transmitters, then score all maps; the callbacks get transmitters done and their number."""
-    samples = plan.compared.dataset.subset(plan.rows)
-    channels, share_not_found = _channels(plan, samples, tracing)
-    stored = {label: predicted.maps_of(plan.rows, BATCH_SIZE) for label, predicted in plan.predictions.items()}
-    labels = [*stored, *(selection.label for selection in SELECTIONS)]
-    parts: dict[str, list[Scores]] = {label: [] for label in labels}
+    samples = plan.samples
+    channels, share_not_found = _channels(plan, tracing)
+    labels = [*plan.predicted, *(selection.label for selection in SELECTIONS)]
+    scores = {label: np.empty((2, len(samples))) for label in labels}
     for done, rows in enumerate(transmitters := rows_by_transmitter(samples), start=1):
         truth = samples.pas(rows)
         of_channels = channels[rows].reshape(-1, channels.shape[-1])
         derived = samples.beam.maps(of_channels, samples.header.pas_kind)[0]
         by_selection = derived.reshape(len(rows), len(SELECTIONS), *truth.shape[1:]).swapaxes(0, 1)
-        maps = [*(predicted[rows] for predicted in stored.values()), *by_selection]
+        maps = [*(predicted[rows] for predicted in plan.predicted.values()), *by_selection]
         for label, shown in zip(labels, maps, strict=True):
-            parts[label].append(Scores(ssim(shown, truth, samples.grid), psnr(shown, truth, samples.grid)))
+            scores[label][:, rows] = ssim(shown, truth, samples.grid), psnr(shown, truth, samples.grid)
         scoring(done, len(transmitters))
-    scores = {
-        label: Scores(np.concatenate([part.ssim for part in own]), np.concatenate([part.psnr for part in own]))
-        for label, own in parts.items()
-    }
-    return Residual(plan.compared, scores, samples, share_not_found)
+    return Residual(plan.compared, samples, scores, share_not_found)
 
 
 def rows_by_transmitter(samples: PasDataset) -> list[Int[IntArray, "f"]]:
@@ -250,10 +246,10 @@ def rows_by_transmitter(samples: PasDataset) -> list[Int[IntArray, "f"]]:
 
 
 def _channels(
-    plan: ResidualPlan, samples: PasDataset, progress: ProgressCallback
+    plan: ResidualPlan, progress: ProgressCallback
 ) -> tuple[Complex[NDArray[np.complex128], "n S M"], Float[FloatArray, "n"]]:
     """Channel of each row and selection, and each row's share of power over paths that are not found."""
-    scene = samples.scene
+    samples, scene = plan.samples, plan.samples.scene
     tracer = ImageTracer(scene, samples.header.carrier_hz.tolist(), plan.settings)
     channels = np.zeros((len(samples), len(SELECTIONS), scene.receiver.num_elements), np.complex128)
     share = np.zeros(len(samples))
@@ -271,45 +267,17 @@ def _channels(
     return channels, share
 
 
-def _settings_of(compared: ComparedFindings) -> TraceSettings:
-    """How the data set was traced; raises `DataError` where the image method cannot trace it so."""
-    dataset = compared.dataset
-    settings = dataset.trace_settings
-    if not can_solve(Geometry(compared.meshes), settings):
-        raise DataError(
-            f"{dataset.path} was traced with {', '.join(settings.named_interactions)} to depth "
-            f"{settings.max_depth}, but exact paths are known for specular, refraction and diffraction among planar "
-            "facets alone. Use a data set of `xfreqbench generate --solver image`."
-        )
-    return settings
-
-
-def _best_trivial(record: RunRecord, folder: ResultsFolder) -> RunRecord | None:
-    """The trivial predictor with the largest median SSIM on the same split, of those with stored predictions."""
-    stored = [
-        other
-        for other in folder.records
-        if other.job.method in EVERY_TRIVIAL
-        and not other.job.overrides
-        and other.external is None
-        and (other.dataset_sha256, other.split_sha256) == (record.dataset_sha256, record.split_sha256)
-        and folder.predictions_path(other.id).exists()
-    ]
-    by_score = sorted(stored, key=lambda other: other.scores["ssim"].median)
-    return by_score[-1] if by_score else None
-
-
-def score_rows(residual: Residual) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Header and cells: a row for what was predicted, and one for each selection of true paths; medians over maps."""
+def score_rows(residual: Residual) -> Table:
+    """A row for what was predicted, and one for each selection of true paths; medians over maps."""
     in_sight = residual.samples.line_of_sight
-    return _SCORE_COLUMNS, [
-        (label, *_medians_by_sight(scores.ssim, in_sight), number(_median(scores.psnr), 2))
-        for label, scores in residual.scores.items()
+    return ("map of", "SSIM", "in sight", "shadowed", "PSNR (dB)"), [
+        (label, *_medians_by_sight(ssim, in_sight), number(_median(psnr), 2))
+        for label, (ssim, psnr) in residual.scores.items()
     ]
 
 
-def group_rows(residual: Residual) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Header and cells: transmitters in quarters by their share of power that is not found, and by line of sight.
+def group_rows(residual: Residual) -> Table:
+    """Transmitters in quarters by their share of power that is not found, and by line of sight.
 
     A transmitter's share is the mean over its rows; a group's is the median over its transmitters, with the least
     and the greatest. Groups without a transmitter have no row.
@@ -318,19 +286,18 @@ def group_rows(residual: Residual) -> tuple[tuple[str, ...], list[tuple[str, ...
     share = np.array([residual.share_not_found[rows].mean() for rows in by_transmitter])
     in_sight = residual.samples.line_of_sight
     is_seen = np.array([in_sight[rows[0]] for rows in by_transmitter])
-    quarters = np.array_split(share.argsort(kind="stable"), _NUM_QUARTERS)
+    quarters = np.array_split(share.argsort(kind="stable"), 4)
     groups = {f"quarter {index} by share not found": rows for index, rows in enumerate(quarters, start=1)}
     groups |= {"in sight": np.flatnonzero(is_seen), "shadowed": np.flatnonzero(~is_seen)}
-    ssim = next(iter(residual.scores.values())).ssim
+    ssim = next(iter(residual.scores.values()))[0]
     cells = []
     for name, members in groups.items():
         if len(members):
             own = share[members]
-            bounds = float(own.min()), float(own.max())
             rows = np.concatenate([by_transmitter[member] for member in members])
-            shown = with_interval(_median(own), bounds, 4), *_medians_by_sight(ssim[rows], in_sight[rows])
-            cells.append((name, str(len(members)), *shown))
-    return _GROUP_COLUMNS, cells
+            shown = f"{_median(own):.4f} ({own.min():.4f} to {own.max():.4f})"
+            cells.append((name, str(len(members)), shown, *_medians_by_sight(ssim[rows], in_sight[rows])))
+    return ("transmitters", "number", "share not found", "SSIM", "in sight", "shadowed"), cells
 
 
 def note(residual: Residual) -> str:
@@ -346,29 +313,26 @@ def note(residual: Residual) -> str:
         "and to images that it did not keep; from found planes to every plane, at the same number of reflections, to "
         "planes that were not found; from there to every plane, to higher orders; from there to every plane and edge, "
         "to diffraction. “Share not found”: the share of the true power that comes over edges or over paths at planes "
-        "that were not found, median [least, greatest]; the SSIM beside "
+        "that were not found, median (least to greatest); the SSIM beside "
         f"it is that of {method}."
     )
 
 
-def write_residual(residual: Residual, path: Path) -> None:
-    """Write both tables and the note as Markdown; raises what `claim` raises, and `StorageError`."""
-    claim(path, residual.compared.record.id)
-    title = f"# Residual of {heading(residual.compared.title)}"
-    parts = [title, table(*score_rows(residual)), table(*group_rows(residual)), literal(note(residual))]
-    write_text(path, "\n\n".join(parts) + "\n")
-
-
-def claim(path: Path, record_id: str) -> None:
+def claim_residual(compared: ComparedFindings, path: Path) -> None:
     """Raise `OutputExistsError` for a file that is not this record's residual, `StorageError` where none can be."""
+    claim(compared.record.id, _title(compared), path)
 
-    def fault_of(file: Path) -> str | None:
-        first = file.read_bytes().partition(b"\n")[0].decode("utf-8", "replace")
-        is_same = first.startswith("# Residual of ") and first.endswith(f"(record {record_id})")
-        return None if is_same else f"was not written for record {record_id}"
 
-    require_space(path, 1)
-    require_own(path, fault_of)
+def write_residual(residual: Residual, path: Path) -> str:
+    """Write both tables and how to read them as Markdown; raises what `claim_residual` raises. Returns the text."""
+    claim_residual(residual.compared, path)
+    parts = [_title(residual.compared), table(*score_rows(residual)), table(*group_rows(residual)), note(residual)]
+    write_text(path, text := "\n\n".join(parts) + "\n")
+    return text
+
+
+def _title(compared: ComparedFindings) -> str:
+    return f"# Residual of {literal(compared.title)}"
 
 
 def _medians_by_sight(values: Float[FloatArray, "n"], in_sight: Bool[NDArray[np.bool_], "n"]) -> list[str]:

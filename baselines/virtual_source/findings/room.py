@@ -5,25 +5,23 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
 
+from xfreqbench import load_predictions
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import find_split
 from xfreqbench.errors import DataError, StorageError
 from xfreqbench.maps.metrics import ssim
-from xfreqbench.report.drawing.figures import is_own_drawing
-from xfreqbench.report.drawing.glb import GlbModel
-from xfreqbench.report.drawing.materials import material_colour
-from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.scoring import BATCH_SIZE
 from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.glb_writer import GlbModel, material_colour
 from xfreqbench.scene.model import ReceiverArray, TransmitterGrid
-from xfreqbench.system.files import require_own, require_space, write_text
+from xfreqbench.system.files import write_text
 from xfreqbench.tracing.image.tracer import can_solve
 from xfreqbench.tracing.tracer import TraceSettings
 
@@ -32,19 +30,11 @@ from ..room.surfaces import MIN_SEEN, NO_PLANE, RoomSurface, surface_from_json
 from ..room.traced import channels_in
 from .compared import ComparedFindings
 from .residual import drawn_rows
+from .text import claim
 
 NUM_TESTED_TX = 60
 ROOM_HEADER = ("maps", "median SSIM", "mean SSIM", "tested rows")
 ROOM, SHAPE = "room.toml", "room.glb"
-_OPACITY = 140
-
-
-@dataclass(frozen=True)
-class ScoredRoom:
-    """The room that was made of findings, and how maps traced in it score: cells under `ROOM_HEADER`."""
-
-    surfaces: Sequence[RoomSurface]
-    scores: Sequence[tuple[str, ...]]
 
 
 def settings_in_room(dataset: PasDataset) -> TraceSettings:
@@ -77,8 +67,10 @@ def refinement_of(compared: ComparedFindings) -> Refinement:
     return refinement
 
 
-def score_rooms(results: Path, compared: ComparedFindings, rooms: Mapping[str, Sequence[RoomSurface]]) -> ScoredRoom:
-    """The last of some rooms, with the SSIM of tested rows: of each room, and of the predictions if they are stored.
+def score_rooms(
+    results: Path, compared: ComparedFindings, rooms: Mapping[str, Sequence[RoomSurface]]
+) -> list[tuple[str, ...]]:
+    """Cells under `ROOM_HEADER`: the SSIM of tested rows, of the predictions if they are stored, and of each room.
 
     Rooms are traced as the data were. The rows are those of `NUM_TESTED_TX` transmitters, drawn at random, all where
     there are fewer.
@@ -88,56 +80,43 @@ def score_rooms(results: Path, compared: ComparedFindings, rooms: Mapping[str, S
     rows = drawn_rows(dataset, tested, NUM_TESTED_TX)
     samples = dataset.subset(rows)
     truth, scores = samples.pas(), {}
-    try:
-        predicted = ResultsFolder.holding(results).predictions(record).maps_of(rows, BATCH_SIZE)
+    with suppress(DataError, StorageError):  # not kept, in use, or of other rows
+        predicted = load_predictions(results, record, rows.tolist())
         scores[f"{record.job.method}, as predicted"] = ssim(predicted, truth, samples.grid)
-    except (DataError, StorageError, KeyError):  # not kept, in use, or of other rows
-        pass
     for label, room in rooms.items():
         cfr = channels_in(room, samples, settings_in_room(samples))
         maps = samples.beam.maps(cfr, samples.header.pas_kind)[0]
         scores[label] = ssim(maps, truth, samples.grid)
-    cells = [
+    return [
         (label, f"{np.median(similarity):.4f}", f"{similarity.mean():.4f}", str(len(similarity)))
         for label, similarity in scores.items()
     ]
-    return ScoredRoom(list(rooms.values())[-1], cells)
 
 
 def claim_room(record_id: str, folder: Path) -> None:
     """Raise `OutputExistsError` where a folder holds other files of these names, and `StorageError`."""
-    scene = (folder / ROOM).read_text("utf-8", "replace") if (folder / ROOM).is_file() else ""
-    is_same = scene.partition("\n")[0] == _first_line(record_id)
-
-    def fault_of(path: Path) -> str | None:
-        is_ours = is_same and (path.name == ROOM or is_own_drawing(path))
-        return None if is_ours else f"was not written for record {record_id}"
-
-    for name in (SHAPE, ROOM):
-        require_own(folder / name, fault_of)
-    require_space(folder / ROOM, 1)
+    claim(record_id, _first_line(record_id), folder / ROOM, folder / SHAPE)
 
 
-def write_room(compared: ComparedFindings, room: ScoredRoom, folder: Path) -> list[Path]:
+def write_room(
+    compared: ComparedFindings, room: Sequence[RoomSurface], scores: Sequence[tuple[str, ...]], folder: Path
+) -> None:
     """Write a room with the data's array and transmitters into a folder, which `claim_room` has looked at.
 
-    The scene's file tells the scores in comments. Returns the paths of the scene and of its shape. Raises
-    `StorageError`.
+    The scene's file tells the scores in comments. Raises `StorageError`.
     """
     model = GlbModel()
-    for surface in room.surfaces:
-        colour = material_colour(surface.slab.material, _OPACITY)
-        model.add_surface(surface.mesh, colour, surface.slab_name)
-    write_text(folder / ROOM, _toml(compared, room))
+    for surface in room:
+        model.add_surface(surface.mesh, material_colour(surface.slab.material, 140), surface.slab_name)
+    write_text(folder / ROOM, _toml(compared, room, scores))
     model.write(folder / SHAPE)
-    return [folder / ROOM, folder / SHAPE]
 
 
 def _first_line(record_id: str) -> str:
     return f"# The room that record {record_id} has learned."
 
 
-def _toml(compared: ComparedFindings, room: ScoredRoom) -> str:
+def _toml(compared: ComparedFindings, room: Sequence[RoomSurface], scores: Sequence[tuple[str, ...]]) -> str:
     """The scene: its array and transmitters are those of the data, its materials those of the room."""
     scene, job = compared.dataset.scene, compared.record.job
     receiver = TypeAdapter(ReceiverArray).dump_python(compared.dataset.header.receiver, mode="json")
@@ -147,15 +126,13 @@ def _toml(compared: ComparedFindings, room: ScoredRoom) -> str:
         "scene": SHAPE,
         "mirrors": "facets",
     }
-    scores = [
-        f"# {what}: SSIM {median} (mean {mean}) of {number} tested rows\n" for what, median, mean, number in room.scores
-    ]
-    parts = [_first_line(compared.record.id), "".join(scores) + _table(head), f"[receiver]\n{_table(receiver)}"]
+    told = [f"# {what}: SSIM {median} (mean {mean}) of {number} tested rows\n" for what, median, mean, number in scores]
+    parts = [_first_line(compared.record.id), "".join(told) + _table(head), f"[receiver]\n{_table(receiver)}"]
     if scene.transmitters:
         grid = TypeAdapter(TransmitterGrid).dump_python(scene.transmitters, mode="json")
         parts.append(f"[transmitters]\n{_table(grid)}")
     by_slab = defaultdict[str, list[RoomSurface]](list)
-    for surface in room.surfaces:
+    for surface in room:
         by_slab[surface.slab_name].append(surface)
     for name, own in sorted(by_slab.items()):
         unseen = [surface.name for surface in own if surface.seen < MIN_SEEN]

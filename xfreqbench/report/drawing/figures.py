@@ -171,12 +171,14 @@ def require_own_figure(path: Path) -> None:
 
 def is_own_drawing(path: Path) -> bool:
     """Whether a figure that `save_figure` wrote is at `path`, or a model that `GlbModel` wrote, by the mark in it."""
+    if path.suffix == ".glb":
+        from xfreqbench.scene.glb_writer import is_own_model
+
+        return is_own_model(path)
     with path.open("rb") as file:
         head = file.read(1024)  # which holds the metadata, after the image's size
         file.seek(max(0, path.stat().st_size - 4096))
         tail = file.read()
-    if path.suffix == ".glb":
-        return head.startswith(b"glTF") and f'"generator":"{SOFTWARE}"'.encode() in head
     if head.startswith(b"%PDF"):
         return b"/Creator (" + SOFTWARE.encode() in tail
     if path.suffix.lower() == ".svg":

@@ -27,7 +27,8 @@ from xfreqbench.report.drawing.markdown import heading, literal
 from xfreqbench.report.view.describe import describe
 from xfreqbench.report.view.pictures import draw_maps, plot_statistics
 from xfreqbench.scene.families import DRAWING, load_family
-from xfreqbench.scene.model import load_scene, shipped_families, shipped_scenes
+from xfreqbench.scene.model import load_scene
+from xfreqbench.scene.toml_files import shipped_families, shipped_scenes
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors, write_columns
 from xfreqbench.system.version import __version__
 from xfreqbench.types import FloatArray, IntArray

@@ -25,11 +25,11 @@ from xfreqbench.report.drawing.figures import (
     plan_and_elevation,
     save_figure,
 )
-from xfreqbench.report.drawing.materials import material_hex
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.view.room import RAY_RANGE_DB, Ray, ShownRoom
 from xfreqbench.report.view.summary import CarrierSummary, Similarity
 from xfreqbench.scene.facets import planar_facets
+from xfreqbench.scene.glb_writer import material_hex
 from xfreqbench.types import FloatArray, NDArray
 
 _MARGIN_M = 0.25

@@ -11,7 +11,6 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import HELD_OUT_RECEIVER, PROTOCOLS, Split, make_splits
 from xfreqbench.errors import ProtocolError
 from xfreqbench.report.drawing.markdown import ABSENT, number
-from xfreqbench.report.drawing.materials import material_hex
 from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_label, one_surface, packed
 from xfreqbench.report.drawing.templates import PageTable, Picture, owner_mark, render
 from xfreqbench.report.view.describe import links_in_words
@@ -19,6 +18,7 @@ from xfreqbench.report.view.figures import NUMBERED_RAYS, Rgba, group_colour, po
 from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB, ShownRoom
 from xfreqbench.report.view.summary import CarrierSummary
+from xfreqbench.scene.glb_writer import material_hex
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import Layer, complex_permittivity, conductivity_s_m, material_bands
 from xfreqbench.scene.meshes import slabs_of

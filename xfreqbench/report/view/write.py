@@ -11,8 +11,6 @@ import numpy as np
 
 from xfreqbench.maps.bartlett import power_of
 from xfreqbench.report.drawing.figures import is_own_drawing, plot_pas_maps
-from xfreqbench.report.drawing.glb import GlbModel
-from xfreqbench.report.drawing.materials import material_colour
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.drawing.templates import Picture, is_of_subject
 from xfreqbench.report.view.figures import (
@@ -27,6 +25,7 @@ from xfreqbench.report.view.page import view_page
 from xfreqbench.report.view.plan import ViewPlan
 from xfreqbench.report.view.room import ShownRoom
 from xfreqbench.report.view.summary import CarrierSummary, summarize
+from xfreqbench.scene.glb_writer import GlbModel, material_colour
 from xfreqbench.system.files import atomic_path, read_text, require_own, require_space, storage_errors, write_text
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 

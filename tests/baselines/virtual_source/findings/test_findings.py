@@ -1,21 +1,19 @@
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
-from xfreqbench.baselines.virtual_source.commands import compare_findings as findings_command
+from xfreqbench.baselines.virtual_source.commands import findings as findings_command
 from xfreqbench.baselines.virtual_source.findings.compared import (
     ComparedFindings,
     choose_record,
-    reflection,
+    reflection_difference,
     virtual_sources,
 )
-from xfreqbench.baselines.virtual_source.findings.write import FILES, NUMBERS, write_findings
+from xfreqbench.baselines.virtual_source.findings.write import MODEL, TEXT, plane_rows, write_findings
 from xfreqbench.baselines.virtual_source.stored import FoundSlab, StoredFindings
 
 from tests.support.stored_records import make_record
@@ -26,6 +24,7 @@ from xfreqbench.errors import DataError, OutputExistsError, UnknownNameError
 from xfreqbench.runs.records import RunRecord, append
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
 
+Captured = pytest.CaptureFixture[str]
 ARRAY_M = np.array([4.0, 3.0, 2.6])
 EXACT_M = 3e-7  # findings are stored to 1e-7
 SCENE = Scene(
@@ -98,6 +97,11 @@ def compared(dataset: PasDataset, *planes: dict[str, object]) -> ComparedFinding
     return ComparedFindings.of(record_of(dataset, findings_of(*planes)), dataset)
 
 
+def reflections_of(result: ComparedFindings) -> list[str]:
+    """Δ|R| of each found plane, as it is told."""
+    return [row[-1] for row in plane_rows(result)[1]]
+
+
 @pytest.mark.parametrize(("axis", "at_m"), [("x", 8.0), ("z", 0.0), ("z", 2.8)])
 @pytest.mark.parametrize("error_m", [-3e-4, 0.0, 2e-4, 0.04])
 def test_a_plane_beyond_its_surface_has_that_error(dataset: PasDataset, axis: str, at_m: float, error_m: float) -> None:
@@ -131,7 +135,7 @@ def test_a_plane_where_nothing_is_shows_no_surface(dataset: PasDataset, found: d
     result = compared(dataset, found)
     assert result.matches == [None]
     assert result.surface(0) == "no such surface"
-    assert result.reflections == [None]
+    assert reflections_of(result) == ["–"]
 
 
 def test_what_is_held_beside_a_surface_is_not_that_surface(dataset: PasDataset) -> None:
@@ -149,7 +153,7 @@ def test_the_image_of_a_desk_in_the_ceiling_is_told_as_such(dataset: PasDataset)
     match = result.matches[1]
     assert match.mirror == 0
     assert match.distance_error_m == pytest.approx(1e-3, abs=EXACT_M)
-    assert result.reflections[1] is None
+    assert reflections_of(result)[1] == "–"
     assert any(missing.distance_m == pytest.approx(1.85) for missing in result.missing)
     assert compared(dataset, image).surface(0) == "no such surface"  # without a mirror
 
@@ -167,8 +171,7 @@ def test_a_plane_that_holds_nothing_has_no_reflection_to_compare(dataset: PasDat
     empty = plane("z", 0.0, held=0.0, corners_m=None, slabs=[{**SLAB, "share": 0.0}])
     result = compared(dataset, empty, plane("z", 2.8))
     assert result.surface(0) == "floor"
-    assert result.reflections[0] is None
-    assert result.reflections[1] is not None
+    assert reflections_of(result)[0] == "–" != reflections_of(result)[1]
 
 
 def test_slabs_mix_by_their_shares_and_an_opening_reflects_nothing() -> None:
@@ -177,11 +180,10 @@ def test_slabs_mix_by_their_shares_and_an_opening_reflects_nothing() -> None:
     whole = FoundSlab.model_validate(SLAB)
     half = whole.model_copy(update={"share": 0.5})
     truth = {("concrete", 0.2): 1.0}
-    np.testing.assert_allclose(reflection([half, half], truth, carrier_hz).difference, 0, atol=1e-12)
-    np.testing.assert_allclose(
-        reflection([half], truth, carrier_hz).learned, reflection([whole], truth, carrier_hz).truth / 2
-    )
-    assert not reflection([], truth, carrier_hz).learned.any()
+    np.testing.assert_allclose(reflection_difference([half, half], truth, carrier_hz), 0, atol=1e-12)
+    alone = reflection_difference([whole], {}, carrier_hz)
+    np.testing.assert_allclose(reflection_difference([half], truth, carrier_hz), alone / 2, atol=1e-12)
+    np.testing.assert_allclose(reflection_difference([], truth, carrier_hz), alone, atol=1e-12)
 
 
 def test_a_wall_with_a_window_is_mixed_by_what_the_rectangle_shows(dataset: PasDataset) -> None:
@@ -195,10 +197,9 @@ def test_virtual_sources_are_mirrored_in_the_order_of_the_bounces() -> None:
     images = ((), (0,), (0, 1), (1, 0), (0, 1, 0))
     told = findings_of(plane("x", 8.0), plane("x", 0.0), images=images)
     sources = virtual_sources(StoredFindings.model_validate(told), np.array([1.0, 2.0, 1.0]))
-    assert [source.planes for source in sources] == [(0,), (0, 1), (1, 0)]
-    x_m = [source.position_m[0] for source in sources]
-    np.testing.assert_allclose(x_m, [15.0, -15.0, 17.0], atol=EXACT_M)
-    assert all(source.position_m[1:].tolist() == [2.0, 1.0] for source in sources)
+    assert list(sources) == [(0,), (0, 1), (1, 0)]
+    expected_m = [[15.0, 2.0, 1.0], [-15.0, 2.0, 1.0], [17.0, 2.0, 1.0]]
+    np.testing.assert_allclose(list(sources.values()), expected_m, atol=EXACT_M)
 
 
 def full_record(dataset: PasDataset, **changes: object) -> RunRecord:
@@ -206,31 +207,27 @@ def full_record(dataset: PasDataset, **changes: object) -> RunRecord:
     return record_of(dataset, findings_of(*planes, images=((), (0,), (1,), (0, 1))), **changes)
 
 
-def test_everything_is_written_and_numbers_table_and_model_say_the_same(dataset: PasDataset, tmp_path: Path) -> None:
+def test_the_text_and_the_model_say_the_same(dataset: PasDataset, tmp_path: Path, capsys: Captured) -> None:
     append(tmp_path / "records.jsonl", full_record(dataset))
     folder = tmp_path / "out"
-    findings_command(tmp_path, data=dataset.path, output=folder, quiet=True)
-    assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
-    for picture in ("scene.png", "reflection.png"):
-        assert len(np.unique(np.asarray(Image.open(folder / picture).convert("L")))) > 20
-    model = trimesh.load_scene(folder / "scene.glb")
+    findings_command(tmp_path, data=dataset.path, output=folder)
+    assert {path.name for path in folder.iterdir()} == {TEXT, MODEL}
+    model = trimesh.load_scene(folder / MODEL)
     nodes = set(model.graph.nodes_geometry)
     assert {f"surface {surface.name}" for surface in SCENE.surface} <= nodes
     assert {"receiver", "found plane 0: wall", "found plane 2: no such surface", "virtual source 0 1"} <= nodes
     transform, name = model.graph["found plane 0: wall"]
     corners_m = trimesh.transform_points(model.geometry[name].vertices, transform)[:, [0, 2, 1]] * [1, -1, 1]
     np.testing.assert_allclose(corners_m, CORNERS_M["x", 8.0], atol=1e-5)  # float32 metres; glTF's y is up
-    told = json.loads((folder / "findings.json").read_text())
-    first = told["planes"][0]
-    assert first["surface"] == "wall"
-    assert first["distance_error_m"] == pytest.approx(2e-4, abs=EXACT_M)
-    assert first["reflection"]["max_difference"] > first["reflection"]["median_difference"] > 0
-    assert told["planes"][2]["reflection"] is None
-    assert {"floor"} in [set(missing["surfaces"]) for missing in told["not_found"]]
-    text = (folder / "findings.md").read_text()
-    (row,) = [line for line in text.splitlines() if "| 0 +x" in line]
-    assert "+0.20" in row
-    assert "no such surface" in text
+    text = (folder / TEXT).read_text()
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("| ")]
+    (wall,), (nothing,) = ([row for row in rows if row[0].startswith(place)] for place in ("0 +x 4.000", "2 +y"))
+    assert (wall[1], wall[2]) == ("wall", "+0.20")
+    assert float(wall[-1]) > float(wall[-2]) > 0
+    assert (nothing[1], nothing[2], nothing[-1]) == ("no such surface", "–", "–")
+    assert ["floor", "-z 2.600 m", "48.0", "80%"] in rows
+    assert "2 of 3 planes that were found are the scene's; half of those are within 0.1 mm of it." in text
+    assert capsys.readouterr().out == f"{text}\nwrote {folder / TEXT}\nwrote {folder / MODEL}\n"
 
 
 def test_the_same_record_is_written_again_and_another_is_not(dataset: PasDataset, tmp_path: Path) -> None:
@@ -245,10 +242,10 @@ def test_the_same_record_is_written_again_and_another_is_not(dataset: PasDataset
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-@pytest.mark.parametrize("name", [name for name in FILES if name != NUMBERS])
+@pytest.mark.parametrize("name", [TEXT, MODEL])
 def test_a_foreign_file_among_ours_stays(dataset: PasDataset, tmp_path: Path, name: str) -> None:
     result = ComparedFindings.of(full_record(dataset), dataset)
-    (tmp_path / NUMBERS).write_text(f'{{"record": "{result.record.id}"}}')  # all that a killed command has written
+    write_findings(result, tmp_path)
     (tmp_path / name).write_text("mine")
     with pytest.raises(OutputExistsError, match=f"{name} exists"):
         write_findings(result, tmp_path)
@@ -287,7 +284,17 @@ def test_mistakes_are_told_before_anything_is_written(dataset: PasDataset, tmp_p
     assert not (tmp_path / "out").exists()
 
 
+def test_names_from_a_scene_are_no_markup_and_steer_no_terminal(tmp_path: Path) -> None:
+    surface = replace(SCENE.surface[0], name="<b>*floor*\x1b[2J | ")
+    scene = replace(SCENE, surface=(surface, *SCENE.surface[1:]), name="_small_")
+    header = replace(make_header(5), scene_json=scene.canonical_json, scene_name="small")
+    result = compared(written(tmp_path / "small.h5", header), plane("z", 0.0))
+    text = write_findings(result, tmp_path)
+    assert r"\<b\>\*floor\* \[2J \|" in text
+    assert "\x1b" not in text
+
+
 def test_no_planes_at_all_still_make_a_report(dataset: PasDataset, tmp_path: Path) -> None:
     result = ComparedFindings.of(record_of(dataset, findings_of()), dataset)
     write_findings(result, tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(FILES)
+    assert {path.name for path in tmp_path.iterdir()} == {TEXT, MODEL}

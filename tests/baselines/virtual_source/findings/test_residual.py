@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from xfreqbench.baselines.virtual_source.commands import measure_residual as residual_command
+from xfreqbench.baselines.virtual_source.commands import residual as residual_command
 from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings
 from xfreqbench.baselines.virtual_source.findings.residual import (
     Residual,
     Selection,
-    claim,
     compute_residual,
     group_rows,
     plan_residual,
@@ -70,7 +69,7 @@ def floorless(box: PasDataset, tmp_path_factory: pytest.TempPathFactory) -> Resi
 
 
 def ssim_of(residual: Residual, selection: Selection) -> np.ndarray:
-    return residual.scores[selection.label].ssim
+    return residual.scores[selection.label][0]
 
 
 def test_all_true_paths_give_the_true_map(complete: Residual) -> None:
@@ -125,8 +124,8 @@ def test_predictions_are_scored_as_stored_and_the_best_trivial_one_beside_them(b
     predicted, trivial, *_ = scores
     assert predicted == "virtual-source, as predicted"
     assert trivial == "nearest, the best trivial predictor"
-    np.testing.assert_allclose(scores[predicted].ssim, 1, atol=1e-12)  # the same half-precision numbers
-    assert (scores[trivial].ssim < 0.999).all()
+    np.testing.assert_allclose(scores[predicted][0], 1, atol=1e-12)  # the same half-precision numbers
+    assert (scores[trivial][0] < 0.999).all()
 
 
 def test_groups_hold_every_transmitter_once(floorless: Residual) -> None:
@@ -141,7 +140,7 @@ def test_groups_hold_every_transmitter_once(floorless: Residual) -> None:
 
 def test_the_drawn_transmitters_are_some_of_the_tested_and_always_the_same(box: PasDataset, tmp_path: Path) -> None:
     compared = ComparedFindings.of(stored_run(box, tmp_path, ALL_PLANES), box)
-    few, again, all_ = (plan_residual(tmp_path, compared, number).rows for number in (4, 4, 1000))
+    few, again, all_ = (plan_residual(tmp_path, compared, number).samples.rows for number in (4, 4, 1000))
     np.testing.assert_array_equal(few, again)
     assert len(few) == 4
     assert set(few) < set(all_)
@@ -160,8 +159,9 @@ def test_the_command_prints_and_writes_both_tables(
         assert words in printed
     residual_command(tmp_path, data=box.path, output=path, tx=4, quiet=True)  # its own file is replaced
     assert path.read_text() == text
+    stored_run(box, tmp_path, WITHOUT_FLOOR, id="other", time_utc="2030-01-01T00:00:00+00:00")
     with pytest.raises(OutputExistsError, match="record other"):
-        claim(path, "other")
+        residual_command(tmp_path, data=box.path, output=path, quiet=True)
 
 
 def test_scores_of_no_map_are_dashes(complete: Residual) -> None:

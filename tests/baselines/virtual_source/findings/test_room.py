@@ -8,15 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from xfreqbench.baselines.virtual_source.commands import compare_findings as findings_command
+from xfreqbench.baselines.virtual_source.commands import findings as findings_command
 from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings
-from xfreqbench.baselines.virtual_source.findings.room import (
-    ScoredRoom,
-    claim_room,
-    refinement_of,
-    score_rooms,
-    write_room,
-)
+from xfreqbench.baselines.virtual_source.findings.room import claim_room, refinement_of, score_rooms, write_room
 from xfreqbench.baselines.virtual_source.room.surfaces import SlabNames, surface_json
 from xfreqbench.baselines.virtual_source.stored import FoundSlab
 
@@ -45,7 +39,7 @@ def write(box: PasDataset, folder: Path, findings: dict[str, object], **changes:
     """Run the command; returns the folder of the room."""
     (folder / "results").mkdir(exist_ok=True)
     append(folder / "results" / "records.jsonl", record_of(box, findings, **changes))
-    output, room = folder / "page", folder / "room"
+    output, room = folder / "told", folder / "room"
     findings_command(folder / "results", data=box.path, output=output, room=room, refine=False, quiet=True)
     return room
 
@@ -91,6 +85,9 @@ def test_the_scene_says_what_the_surfaces_are_made_of_and_how_near_that_is(box: 
     assert "|ΔR| 0.000" in text
     assert "unseen: face 6 of plane 6" in text
     assert "traced in the room, as found: SSIM 1.0000 (mean 1.0000) of 10 tested rows" in text
+    told = (room.parent / "told" / "findings.md").read_text()
+    assert "7 of 7 planes that were found are the scene's" in told
+    assert "| traced in the room, as found | 1.0000 " in told
 
 
 def test_metal_is_known_by_what_it_reflects() -> None:
@@ -134,7 +131,7 @@ def test_slivers_are_left_out_and_corners_that_are_one_count_once(box: PasDatase
 def test_a_room_without_faces_is_refused_before_anything_is_written(box: PasDataset, tmp_path: Path) -> None:
     with pytest.raises(DataError, match="has no faces from which a room could be made"):
         write(box, tmp_path, ALL_PLANES)
-    assert not (tmp_path / "page").exists()
+    assert not (tmp_path / "told").exists()
     assert not (tmp_path / "room").exists()
 
 
@@ -170,7 +167,7 @@ def test_the_room_of_the_same_record_is_written_again_and_nothing_else(box: PasD
     mine, written = compared(box, found_room(), id="mine"), []
     for _ in range(2):
         claim_room("mine", tmp_path)
-        write_room(mine, ScoredRoom(refinement_of(mine).found, []), tmp_path)
+        write_room(mine, refinement_of(mine).found, [], tmp_path)
         written.append({path.name: path.read_bytes() for path in tmp_path.iterdir()})
     assert set(written[0]) == WRITTEN
     assert written[0] == written[1]
@@ -185,19 +182,18 @@ def test_a_file_of_someone_else_stays(box: PasDataset, tmp_path: Path, name: str
     with pytest.raises(OutputExistsError, match=f"{name} exists"):
         write(box, tmp_path, found_room())
     assert (tmp_path / "room" / name).read_text() == "mine"
-    assert not (tmp_path / "page").exists()
+    assert not (tmp_path / "told").exists()
 
 
 def test_rooms_are_scored_at_tested_rows(box: PasDataset, tmp_path: Path) -> None:
     told = compared(box, found_room(), split="lofo-24.25GHz")
     surfaces = refinement_of(told).found
     scored = score_rooms(tmp_path, told, {"whole": surfaces, "without a floor": surfaces[1:]})
-    (whole, *of_whole), (without, *of_without) = scored.scores
+    (whole, *of_whole), (without, *of_without) = scored
     assert (whole, without) == ("whole", "without a floor")
     assert of_whole[2] == of_without[2] == "10"  # tested rows: one for each transmitter at 24.25 GHz
     assert float(of_whole[1]) > 0.999
     assert float(of_without[0]) < float(of_whole[0]) - 0.005
-    assert scored.surfaces == surfaces[1:]
 
 
 def test_a_scenes_name_of_any_letters_is_written_to_the_room(box: PasDataset, tmp_path: Path) -> None:
@@ -205,7 +201,7 @@ def test_a_scenes_name_of_any_letters_is_written_to_the_room(box: PasDataset, tm
     scene_json = json.dumps({**json.loads(box.header.scene_json), "name": name})
     named = replace(box, header=replace(box.header, scene_json=scene_json))
     told = ComparedFindings.of(record_of(named, found_room()), named)
-    write_room(told, ScoredRoom(refinement_of(told).found, []), tmp_path)
+    write_room(told, refinement_of(told).found, [], tmp_path)
     assert load_scene(tmp_path / "room.toml").name == f"{name}-learned"
 
 

@@ -1,4 +1,4 @@
-"""3D models as GLB files, which any viewer of 3D models opens."""
+"""3D models of scenes as GLB files, which any viewer of 3D models opens, and the colours of materials."""
 
 from __future__ import annotations
 
@@ -12,17 +12,42 @@ from jaxtyping import Float
 from trimesh.exchange.gltf import export_glb
 from trimesh.visual.material import PBRMaterial
 
-from xfreqbench.report.drawing.templates import SOFTWARE
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.system.files import atomic_path, storage_errors
 from xfreqbench.types import FloatArray
 
 Colour = tuple[int, int, int, int]  # red, green, blue and opacity, from 0 to 255
 
-_SURFACE = 150, 160, 175, 60
-_OCTAHEDRON = np.vstack([np.eye(3), -np.eye(3)])
-_OCTAHEDRON_FACES = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
+_SOFTWARE = "xfreqbench"  # the mark by which a model is known as ours when it is replaced
 _Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from z upwards to y upwards
+
+
+def material_hex(material: str) -> str:
+    """Colour of a material as `#rrggbb`; one for all that have no name of ours."""
+    return {
+        "concrete": "#7f7f7f",
+        "plasterboard": "#b8a37a",
+        "stud-wall": "#b8a37a",
+        "glass": "#56b4e9",
+        "double-glazing": "#56b4e9",
+        "wood": "#a0522d",
+        "solid-door": "#a0522d",
+        "hollow-door": "#a0522d",
+        "chipboard": "#cd853f",
+        "plywood": "#d2a679",
+        "metal": "#3b5b92",
+        "brick": "#b5482f",
+        "brick-wall": "#b5482f",
+        "marble": "#9d8fa8",
+        "ceiling_board": "#a9b39b",
+        "floorboard": "#8b6b3d",
+    }.get(material, "#6b8e6b")
+
+
+def material_colour(material: str, opacity: int) -> tuple[int, int, int, int]:
+    """Colour of a material as red, green, blue and opacity, each from 0 to 255."""
+    red, green, blue = bytes.fromhex(material_hex(material)[1:])
+    return red, green, blue, opacity
 
 
 class GlbModel:
@@ -34,7 +59,7 @@ class GlbModel:
     def __init__(self) -> None:
         self._scene = trimesh.Scene()
 
-    def add_surface(self, mesh: SurfaceMesh, colour: Colour = _SURFACE, material: str | None = None) -> None:
+    def add_surface(self, mesh: SurfaceMesh, colour: Colour = (150, 160, 175, 60), material: str | None = None) -> None:
         """Add a surface of a scene, as the node `surface NAME`, under the name of a material where one is given."""
         shape = trimesh.Trimesh(mesh.vertices_m, mesh.triangles)
         self._add(f"surface {mesh.name}", shape, colour, material)
@@ -52,8 +77,10 @@ class GlbModel:
         """Add small octahedra at N positions as one mesh of 168 bytes each; without positions, add nothing."""
         if not len(position_m):
             return
-        vertices_m = position_m[:, None] + radius_m * _OCTAHEDRON
-        triangles = 6 * np.arange(len(position_m))[:, None, None] + _OCTAHEDRON_FACES
+        vertices_m = position_m[:, None] + radius_m * np.vstack([np.eye(3), -np.eye(3)])
+        triangles = 6 * np.arange(len(position_m))[:, None, None] + np.array(
+            [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
+        )
         vertices_m, triangles = vertices_m.reshape(-1, 3), triangles.reshape(-1, 3)
         self._add(name, trimesh.Trimesh(vertices_m, triangles, process=False), colour)
 
@@ -79,8 +106,15 @@ class GlbModel:
         self._scene.add_geometry(shape, node_name=name, geom_name=name, transform=_Y_UP)
 
 
+def is_own_model(path: Path) -> bool:
+    """Whether a model that `GlbModel` wrote is at `path`, by the mark in it."""
+    with path.open("rb") as file:
+        head = file.read(1024)
+    return head.startswith(b"glTF") and f'"generator":"{_SOFTWARE}"'.encode() in head
+
+
 def _sign(tree: dict[str, Any]) -> None:
     """Say first who made the model."""
-    content = {"asset": {**tree.pop("asset"), "generator": SOFTWARE}, **tree}
+    content = {"asset": {**tree.pop("asset"), "generator": _SOFTWARE}, **tree}
     tree.clear()
     tree.update(content)
