@@ -19,7 +19,7 @@ from xfreqbench.data.batches import BatchStore
 from xfreqbench.data.dataset import PasDataset, verify
 from xfreqbench.data.schema import variables
 from xfreqbench.data.splits import find_split
-from xfreqbench.data.trace import channel_by
+from xfreqbench.data.trace import traced
 from xfreqbench.errors import DataError, OutputExistsError, ProtocolError, UnknownNameError, XFreqBenchError
 from xfreqbench.exchange.split_file import Handout
 from xfreqbench.methods.lookup import TrainingTransmitters
@@ -153,13 +153,13 @@ def test_a_killed_generation_of_several_links_ends_in_the_same_bytes(
 
 
 def test_the_proof_of_origin_sees_every_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def spoilt(tracers: Any, tracing: Any, tx_position_m: Any) -> Channel:
-        channel = channel_by(tracers, tracing, tx_position_m)
+    def spoilt(*arguments: Any, **named: Any) -> Channel:
+        channel = traced(*arguments, **named)
         if channel.cfr.ndim > 3:
             channel.cfr[:, 1, 1] *= 1.01  # in the file, and in no channel of one link
         return channel
 
-    monkeypatch.setattr("xfreqbench.data.trace.channel_by", spoilt)
+    monkeypatch.setattr("xfreqbench.data.generate.traced", spoilt)
     with pytest.raises(DataError, match="does not hold what its header says"):
         few(tmp_path / "data.h5")
 

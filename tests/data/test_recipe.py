@@ -12,11 +12,11 @@ import pytest
 import trimesh
 
 from tests.support.furnished_room import GRID, RECEIVER, SHELL, write_meshes
-from tests.support.plans import wall_moved
+from tests.support.plans import plan_generation, wall_moved
 from tests.support.synthetic import append_all, make_header
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import Plan, plan_generation
+from xfreqbench.data.plan import Plan
 from xfreqbench.data.recipe import Recipe, job_of, recipe_name
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.maps.grid import AngularGrid
@@ -35,7 +35,7 @@ def planned(
 ) -> Plan:
     of_plan = {name: changes.pop(name) for name in ("pas_kind", "maps", "paths") if name in changes}
     settings = TraceSettings(**{"interactions": ("specular", "refraction"), **changes})
-    return plan_generation(scene, carrier_hz, settings, tx_position_m=tx_position_m, **of_plan)
+    return plan_generation(scene, carrier_hz, settings, tx_positions=tx_position_m, **of_plan)
 
 
 def recipe_of(plan: Plan, grid: AngularGrid = GRID_OF_MAPS) -> Recipe:

@@ -163,7 +163,7 @@ def test_the_local_mean_is_the_mean_power_of_transmitters_on_the_disc(
     radius_m = radius_wavelengths * SPEED_OF_LIGHT_M_S / CARRIERS_HZ[1] * radius[:, None]
     spiral_m = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1) * radius_m
     at_m = np.array([1.0, 2.0, 1.2]) + np.vstack([np.zeros(3), spiral_m])
-    plan = small_plan(one_element, None, tx_position_m=at_m, maps=False, paths=True)
+    plan = small_plan(one_element, None, tx_positions=at_m, maps=False, paths=True)
     dataset = open_dataset(generate_planned(plan, tmp_path / "disc.h5"))
     dataset = dataset.subset(dataset.carrier_hz == CARRIERS_HZ[1])
     mean_db = 10 * np.log10(np.mean(10 ** (dataset.power_db[1:] / 10)))

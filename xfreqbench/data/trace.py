@@ -58,46 +58,24 @@ class Tracing:
         return prepared
 
 
-def traced(tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
-    """Channel of a batch of transmitters; the batch's index is for the caller, who finds the result by it."""
-    _, tx_position_m = batch
-    return channel_by(_tracers(tracing), tracing, tx_position_m)
+def traced(
+    tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]], software: Mapping[str, str] | None = None
+) -> Channel:
+    """Channel of a batch of transmitters, with the paths where they are asked for.
 
-
-def traced_alike(tracing: Tracing, software: Mapping[str, str], batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
-    """As `traced`, for a driver with some versions of software.
-
-    Raises `UnfitWorkerError` where this process has others, or cannot prepare the scene, which the driver could.
+    An axis of receivers and one of pairs of polarizations follow the transmitters, each where there are several. The
+    batch's index is for the caller, who finds the result by it. A driver elsewhere says which versions of `software` it
+    has: raises `UnfitWorkerError` where this process has others, or cannot prepare the scene, which the driver could.
     """
-    if differing := differences(software, _software(tracing.settings.solver)):
+    if software is not None and (differing := differences(software, _software(tracing.settings.solver))):
         raise UnfitWorkerError(f"traces with other software: {differing}.")
     try:
-        _tracers(tracing)
+        tracers = _tracers(tracing)
     except XFreqBenchError as error:
+        if software is None:
+            raise
         raise UnfitWorkerError(f"cannot prepare scene {tracing.scene.name!r}: {error}") from error
-    return traced(tracing, batch)
-
-
-_software = cache(software_versions)
-
-
-def tracers_of(tracing: Tracing, settings: TraceSettings) -> list[list[Tracer]]:
-    """A tracer for each pair of polarizations of every receiver: those of one receiver share what rays have found."""
-    prepared = tracing.prepared()
-    tracers = []
-    for receiver in prepared.scene.receivers:
-        scene = replace(prepared.scene, receiver=receiver, other_receivers=())
-        first, *others = [scene.with_polarization(pair) for pair in tracing.polarizations] or [scene]
-        tracer = tracer_of(PreparedScene(first, prepared.geometry), tracing.carrier_hz, settings)
-        tracers.append([tracer, *map(tracer.with_antennas, others)])
-    return tracers
-
-
-def channel_by(tracers: list[list[Tracer]], tracing: Tracing, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
-    """Channel of T transmitters by tracers of that scene, with the paths where they are asked for.
-
-    An axis of receivers and one of pairs of polarizations follow the transmitters, each where there are several.
-    """
+    _, tx_position_m = batch
     found = [[tracer.channel(tx_position_m) for tracer in of_receiver] for of_receiver in tracers]
     counts = [len(tracers)] * (len(tracers) > 1) + [len(tracers[0])] * (len(tracers[0]) > 1)
 
@@ -122,6 +100,17 @@ def forget_rays() -> None:
     _tracers.cache_clear()
 
 
+_software = cache(software_versions)
+
+
 @lru_cache(maxsize=1)
 def _tracers(tracing: Tracing) -> list[list[Tracer]]:
-    return tracers_of(tracing, tracing.settings)
+    """A tracer for each pair of polarizations of every receiver: those of one receiver share what rays have found."""
+    prepared = tracing.prepared()
+    tracers = []
+    for receiver in prepared.scene.receivers:
+        scene = replace(prepared.scene, receiver=receiver, other_receivers=())
+        first, *others = [scene.with_polarization(pair) for pair in tracing.polarizations] or [scene]
+        tracer = tracer_of(PreparedScene(first, prepared.geometry), tracing.carrier_hz, tracing.settings)
+        tracers.append([tracer, *map(tracer.with_antennas, others)])
+    return tracers

@@ -17,8 +17,9 @@ from typing import Literal
 from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.options import GenerateOptions
 from xfreqbench.data.plan import Plan, plan_generation
-from xfreqbench.data.rooms import MAX_DEPTH, RAYS, RoomsPlan, generate_planned_rooms, plan_of_rooms
+from xfreqbench.data.rooms import RoomsPlan, generate_planned_rooms, plan_rooms
 from xfreqbench.data.splits import LOFO_TARGETS_GHZ, SPARSE_TRAINING_GHZ
 from xfreqbench.data.unseen_rooms import NUMS_HEARD, ROOM_PROTOCOLS
 from xfreqbench.errors import RunsFailedError, UnknownNameError
@@ -32,7 +33,6 @@ from xfreqbench.runs.progress import RunProgress
 from xfreqbench.runs.records import BenchRecord, Job
 from xfreqbench.runs.rooms import RoomTask, room_tasks
 from xfreqbench.runs.run import imports_of, run_jobs
-from xfreqbench.scene.model import load_scene
 from xfreqbench.system.files import require_text, sole_worker
 from xfreqbench.system.workers import (
     HERE,
@@ -44,9 +44,9 @@ from xfreqbench.system.workers import (
     open_workers,
     own_cores,
 )
-from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION
 from xfreqbench.types import ProgressCallback, ignore_progress
-from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
+from xfreqbench.units import PAPER_CARRIERS_GHZ
 
 BENCH_COMMANDS = {  # the command of each measurement, and the minutes that it takes on two cores
     "generate": (("bench", "generate"), 4),
@@ -57,7 +57,6 @@ BENCH_COMMANDS = {  # the command of each measurement, and the minutes that it t
     "scale-out": (("bench", "scale-out"), 4),
     "peers": (("bench", "peers", "--orders", "1,2,3", "--seconds", "5", "--limit", "100"), 9),
 }
-_PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
 
 _TRIVIAL_S, _BESIDE_FIT_S = 2.8, 4.0  # as measured: a run that fits nothing, and what others take besides their fits
 _SECONDS_A_MAP = {  # of training on one core, roughly, with another fit beside it
@@ -111,19 +110,16 @@ class Benchmark:
     @cached_property
     def rooms_plans(self) -> dict[str, RoomsPlan]:
         """The plan of every collection of rooms, by the name of the family."""
-        settings = TraceSettings(interactions=WITHOUT_DIFFRACTION, max_depth=MAX_DEPTH, rays=RAYS)
+        num_tx, traced = self.preset.num_tx, WITHOUT_DIFFRACTION
         return {
-            name: plan_of_rooms(name, PAPER_CARRIERS_GHZ, settings, rooms=number, tx=self.preset.num_tx[name])
+            name: plan_rooms(name, GenerateOptions(rooms=number, tx=num_tx[name], interactions=traced))
             for name, number in self.preset.num_rooms.items()
         }
 
     @cached_property
     def plans(self) -> dict[str, Plan]:
         """The plan of every scene's data set, by the name of the scene."""
-        return {
-            name: plan_generation(load_scene(name), _PAPER_HZ, num_transmitters=self.preset.num_tx.get(name))
-            for name in self.scenes
-        }
+        return {name: plan_generation(name, GenerateOptions(tx=self.preset.num_tx.get(name))) for name in self.scenes}
 
     def data_path(self, scene: str) -> Path:
         """The file of a scene's data set; if the preset limits its transmitters, their number is in the name.
