@@ -23,6 +23,7 @@ from xfreqbench.cli.options import (
     say_written,
     with_help,
 )
+from xfreqbench.data.dataset import links
 from xfreqbench.data.options import GenerateOptions
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.units import PAPER_CARRIERS_GHZ
@@ -187,9 +188,9 @@ def info(
     print("every hash holds")
     dataset = open_dataset(file)
     say(compare_fingerprint(dataset).verdict)
-    for link in dataset.links() if retrace else ():
+    for link in links(dataset) if retrace else ():
         worst = require_origin(link, drawn_rows(link, retrace, seed))
-        of = "".join(f" of {name}" for name in link.link_names if name)
+        of = "".join(f" of {name}" for name in link.link if name)
         print(f"{min(retrace, len(link))} samples{of} traced again: {worst}, the others by less")
     if glints:
         from xfreqbench.data.glints import glints as left_out

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import InstanceOf
 
 from xfreqbench.data.batches import BatchStore, claimed_batches, holds_batches_of
-from xfreqbench.data.dataset import PasDataset, holds_same_job, open_dataset
+from xfreqbench.data.dataset import PasDataset, holds_same_job, links, open_dataset
 from xfreqbench.data.options import GenerateOptions, taking
 from xfreqbench.data.paths import PathTotals
 from xfreqbench.data.plan import Plan, plan_generation
@@ -124,7 +124,7 @@ def _write(plan: Plan, store: BatchStore, path: Path, report: ProgressCallback, 
 
     def prove(written: Path) -> None:
         sampled = _sampled(plan, store.kept)
-        for number, link in enumerate(open_dataset(written).links()):
+        for number, link in enumerate(links(open_dataset(written))):
             rows = sampled[number % len(sampled) :: plan.num_links]
             require_origin(link, rows, folder=plan.scene.folder, workers=workers)
 

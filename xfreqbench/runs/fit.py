@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.dataset import PasDataset, isolated
 from xfreqbench.errors import DivergenceError, XFreqBenchError
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.contract import Budget
@@ -106,7 +106,7 @@ class TaskFit:
         sampled = split.test[curve_positions(split.sha256, len(split.test))]
         scores = []
         for rows in np.split(sampled, range(BATCH_SIZE, len(sampled), BATCH_SIZE)):
-            asked = dataset.subset(rows)
+            asked = dataset[rows]
             predicted = predict_checked(self.method, asked.tx_position_m, asked.carrier_hz, grid.shape)
             scores.append(ssim(predicted, dataset.pas(rows), grid))
         return np.concatenate(scores)
@@ -129,4 +129,4 @@ class TaskFit:
 
 def _few(train: PasDataset) -> PasDataset:
     """A copy of the samples of the first transmitters of a training part."""
-    return train.subset(np.isin(train.tx_index, np.unique(train.tx_index)[:_WARM_UP_TX])).isolated()
+    return isolated(train[np.isin(train.tx_index, np.unique(train.tx_index)[:_WARM_UP_TX])])

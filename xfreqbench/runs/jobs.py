@@ -95,10 +95,9 @@ class Task:
     @property
     def notes(self) -> list[str]:
         """What a user may not expect: tested carriers outside of the training band, absent splits, one link of many."""
-        receivers = () if self.split.receivers else self.dataset.receivers
-        axes = zip(
-            ("receiver", "polarization"), self.dataset.link_names, (receivers, self.dataset.polarizations), strict=True
-        )
+        known = self.dataset.file_header
+        names = (() if self.split.receivers else known.receivers), known.polarizations
+        axes = zip(("receiver", "polarization"), self.dataset.link, names, strict=True)
         links = [
             f"methods see {axis} {shown} of {', '.join(names)}; option {axis} chooses another"
             for axis, shown, names in axes
@@ -147,7 +146,7 @@ def protocol_tasks(
     """
     splits = make_splits(dataset, protocol, targets_ghz, on)
     return [
-        Task.of(Job(data, name, split.protocol, split.name, options, seed, budget, *dataset.link_names), dataset, split)
+        Task.of(Job(data, name, split.protocol, split.name, options, seed, budget, *dataset.link), dataset, split)
         for name, options in methods
         for seed in seeds
         for split in splits

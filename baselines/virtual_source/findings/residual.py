@@ -215,14 +215,14 @@ def plan_residual(results: Path, compared: ComparedFindings, num_tx: int) -> Res
 
 def drawn_rows(dataset: PasDataset, tested: Int[IntArray, "n"], num_tx: int) -> Int[IntArray, "m"]:
     """The tested rows of `num_tx` transmitters that are drawn at random, of all where there are fewer; ascending."""
-    tx = tested // dataset.num_carriers
+    tx = tested // dataset.header.num_carriers
     chosen = np.random.default_rng(DRAW_SEED).permutation(np.unique(tx))[:num_tx]
     return np.sort(tested[np.isin(tx, chosen)])
 
 
 def compute_residual(plan: ResidualPlan, tracing: ProgressCallback, scoring: ProgressCallback) -> Residual:
     """Trace the drawn transmitters, then score all maps; the callbacks get transmitters done and their number."""
-    samples = plan.compared.dataset.subset(plan.rows)
+    samples = plan.compared.dataset[plan.rows]
     channels, share_not_found = _channels(plan, samples, tracing)
     stored = {label: predicted.maps_of(plan.rows, BATCH_SIZE) for label, predicted in plan.predictions.items()}
     labels = [*stored, *(selection.label for selection in SELECTIONS)]
@@ -262,7 +262,7 @@ def _channels(
         paths = tracer.paths(tx_m)
         kinds = path_kinds(paths, tx_m, plan.compared.findings)
         kept = np.array([selection.keeps(kinds) for selection in SELECTIONS])
-        for row, carrier in zip(rows, samples.rows[rows] % samples.num_carriers, strict=True):
+        for row, carrier in zip(rows, samples.rows[rows] % samples.header.num_carriers, strict=True):
             channels[row] = kept @ spherical_waves(paths, int(carrier), scene.receiver)
             power = np.abs(paths.gain[carrier]) ** 2
             is_left = kinds.is_diffracted | ~kinds.is_found
@@ -301,7 +301,7 @@ def _best_trivial(record: RunRecord, folder: ResultsFolder) -> RunRecord | None:
 
 def score_rows(residual: Residual) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Header and cells: a row for what was predicted, and one for each selection of true paths; medians over maps."""
-    in_sight = residual.samples.line_of_sight
+    in_sight = residual.samples.tables["line_of_sight"][residual.samples.tx_index]
     return _SCORE_COLUMNS, [
         (label, *_medians_by_sight(scores.ssim, in_sight), number(_median(scores.psnr), 2))
         for label, scores in residual.scores.items()
@@ -316,7 +316,7 @@ def group_rows(residual: Residual) -> tuple[tuple[str, ...], list[tuple[str, ...
     """
     by_transmitter = rows_by_transmitter(residual.samples)
     share = np.array([residual.share_not_found[rows].mean() for rows in by_transmitter])
-    in_sight = residual.samples.line_of_sight
+    in_sight = residual.samples.tables["line_of_sight"][residual.samples.tx_index]
     is_seen = np.array([in_sight[rows[0]] for rows in by_transmitter])
     quarters = np.array_split(share.argsort(kind="stable"), _NUM_QUARTERS)
     groups = {f"quarter {index} by share not found": rows for index, rows in enumerate(quarters, start=1)}

@@ -59,7 +59,7 @@ def refinement_of(compared: ComparedFindings) -> Refinement:
     faces, or data whose interactions the image method does not trace in a room.
     """
     dataset, job = compared.dataset, compared.record.job
-    train = dataset.subset(find_split(dataset, job.protocol, job.split).train)
+    train = dataset[find_split(dataset, job.protocol, job.split).train]
     refinement = Refinement.of(compared.findings, train)
     if refinement is None:
         raise DataError(
@@ -86,7 +86,7 @@ def score_rooms(results: Path, compared: ComparedFindings, rooms: Mapping[str, S
     dataset, record = compared.dataset, compared.record
     tested = find_split(dataset, record.job.protocol, record.job.split).test
     rows = drawn_rows(dataset, tested, NUM_TESTED_TX)
-    samples = dataset.subset(rows)
+    samples = dataset[rows]
     truth, scores = samples.pas(), {}
     try:
         predicted = ResultsFolder.holding(results).predictions(record).maps_of(rows, BATCH_SIZE)

@@ -35,7 +35,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 def refinement(dataset: PasDataset, findings: dict[str, object]) -> Refinement:
     """Of a room in which boxes may be of two materials."""
-    train = dataset.subset(find_split(dataset, "lofo", SPLIT).train)
+    train = dataset[find_split(dataset, "lofo", SPLIT).train]
     made = Refinement.of(StoredFindings.model_validate(findings), train)
     made._slabs = made._slabs[:2]
     return made
@@ -222,7 +222,7 @@ def test_a_refinement_goes_on_where_it_was_stored(dataset: PasDataset) -> None:
     told = refinement(dataset, wrong_room())
     told.step()
     stored = json.loads(json.dumps(told.as_json()))
-    again = Refinement.resumed(stored, dataset.subset(find_split(dataset, "lofo", SPLIT).train))
+    again = Refinement.resumed(stored, dataset[find_split(dataset, "lofo", SPLIT).train])
     told.step()
     again.step()
     assert again.done == told.done == 2

@@ -144,7 +144,7 @@ def test_the_learned_field_stands_where_no_room_can_be_made(
 
 @pytest.mark.usefixtures("unrefined")
 def test_too_few_transmitters_choose_no_weights(dataset: PasDataset) -> None:
-    few = dataset.subset(np.flatnonzero(dataset.tx_index < 4))
+    few = dataset[np.flatnonzero(dataset.tx_index < 4)]
     assert rendered(few, Known(few, everywhere)).tracer is None
 
 

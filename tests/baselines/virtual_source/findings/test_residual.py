@@ -109,7 +109,7 @@ def test_paths_over_edges_are_a_cause_of_their_own(complete: Residual, tmp_path:
 
 
 def test_transmissions_are_missed_by_those_behind_the_screen(complete: Residual) -> None:
-    shadowed = ~complete.samples.line_of_sight
+    shadowed = ~complete.samples.tables["line_of_sight"][complete.samples.tx_index]
     assert 0 < shadowed.sum() < len(shadowed)
     without, direct = ssim_of(complete, Selection(True, 0, False)), ssim_of(complete, Selection(True, 0))
     assert (without[shadowed] < direct[shadowed]).all()
