@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.validation import inner_carriers_hz
+from xfreqbench.data.validation import inner_carriers_hz, place_index
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.learning.coarse import CoarseDataset
 from xfreqbench.methods.learning.loss_kernels import similarities
@@ -126,6 +126,7 @@ class KNearest(TransmitterLookup):
         needed = np.unique(np.concatenate([queries, *(rows for rows, _, _ in near)]))
         known = CoarseDataset.of(train, _STRIDE).pas(needed)
         scores: dict[str, list[FloatArray]] = {kind: [] for kind in KINDS}
+        places = place_index(train)
         for query, (rows, tx, distance_m) in zip(queries, near, strict=True):
             query_hz = train.carrier_hz[query]
             maps, truth = (
@@ -133,7 +134,7 @@ class KNearest(TransmitterLookup):
                 known[[np.searchsorted(needed, query)]].repeat(len(_COUNTS), 0),
             )
             same_carrier = train.carrier_hz[rows] == query_hz
-            same_tx = train.place_index[rows] == train.place_index[query]
+            same_tx = places[rows] == places[query]
             is_inner = query_hz in inner_hz or not len(inner_hz)
             for kind, left_out in zip(KINDS, (same_carrier, same_tx, same_carrier | same_tx), strict=True):
                 left = ~left_out

@@ -42,7 +42,8 @@ class MeanSpectrum(TransmitterLookup):
         """The mean map of a training carrier, by its number; computed when it is first asked for."""
         if carrier not in self._means:
             train = self.transmitters.train
-            at_carrier = train.subset(train.carrier_hz == self.transmitters.carrier_hz[carrier])
-            total = sum(maps.sum(axis=0, dtype=np.float64) for _, maps in at_carrier.batches(_BATCH))
+            at_carrier = train[train.carrier_hz == self.transmitters.carrier_hz[carrier]]
+            parts = (at_carrier[start : start + _BATCH] for start in range(0, len(at_carrier), _BATCH))
+            total = sum(part.pas().sum(axis=0, dtype=np.float64) for part in parts)
             self._means[carrier] = self.transmitters.turned(np.asarray(total))
         return self._means[carrier]

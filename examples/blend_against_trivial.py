@@ -19,6 +19,7 @@ from xfreqbench.baselines.trivial import TRIVIAL
 from xfreqbench.baselines.xfreq_gs import XFreqGS
 
 import xfreqbench as xb
+from xfreqbench.data.dataset import isolated
 from xfreqbench.methods.fitting import fit_within
 
 BUDGET = xb.Budget(max_maps=64_000)
@@ -67,7 +68,7 @@ def ssim(method: xb.Method, tested: xb.PasDataset) -> float:
 
 def difference(train: xb.PasDataset, tested: xb.PasDataset, seeds: list[int]) -> float:
     """`xfreq-gs` minus the best trivial predictor, in SSIM."""
-    train, scores = train.isolated(), []
+    train, scores = isolated(train), []
     for make, budget, seed in [*((each, xb.Budget(), 0) for each in TRIVIAL), *((XFreqGS, BUDGET, s) for s in seeds)]:
         method = make()
         fit_within(method, train, budget, seed)

@@ -6,6 +6,8 @@ from .data.collection import open_collection as open_collection
 from .data.dataset import PasDataset as PasDataset
 from .data.dataset import open_dataset as open_dataset
 from .data.generate import generate as generate
+from .data.power import power_db as power_db
+from .data.power import received_power_dbm as received_power_dbm
 from .data.rooms import generate_rooms as generate_rooms
 from .data.shipped import fetch as fetch
 from .data.shipped import load as load

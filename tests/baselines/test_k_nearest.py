@@ -57,7 +57,7 @@ def by_hand(train, maps, position_m, carrier_hz, num_tx, num_carriers, softening
 def test_maps_are_weighted_by_the_distance_of_their_transmitters(dataset: PasDataset, counts) -> None:
     known = (dataset.tx_index != 0) & (dataset.carrier_hz != 30e9)
     for kept in (known, known & (dataset.rows % 5 != 0)):  # transmitters that lack a carrier too
-        train = dataset.subset(np.flatnonzero(kept))
+        train = dataset[np.flatnonzero(kept)]
         method = fitted(train)
         method.counts = dict.fromkeys(KINDS, counts)
         softening = softening_m(np.unique(train.tx_position_m, axis=0))
@@ -79,7 +79,7 @@ def test_the_counts_are_those_that_predict_training_rows_best_from_the_others(da
             continue  # at the edge of the band
         unseen_carrier = "carrier" in kind and dataset.carrier_hz == carrier_hz
         unseen_tx = "transmitter" in kind and dataset.tx_index == dataset.tx_index[query]
-        left = dataset.subset(np.flatnonzero(~(np.zeros(len(dataset), bool) | unseen_carrier | unseen_tx)))
+        left = dataset[np.flatnonzero(~(np.zeros(len(dataset), bool) | unseen_carrier | unseen_tx))]
         truth = maps[[query], ::3, ::3]
         for counts in ((tx, carriers) for tx in (1, 2, 3, 4, 6) for carriers in (1, 2, 3, 4)):
             shown = by_hand(left, maps, position_m, carrier_hz, *counts, softening)
@@ -91,7 +91,7 @@ def test_the_counts_are_those_that_predict_training_rows_best_from_the_others(da
 
 
 def test_where_nothing_can_be_left_out_it_is_one_map(dataset: PasDataset) -> None:
-    alone = dataset.subset([5])
+    alone = dataset[[5]]
     method = fitted(alone)
     assert set(method.counts.values()) == {(1, 1)}
     np.testing.assert_allclose(ask(method, (1.0, 1.0, 1.0), 5e9), alone.pas()[0], atol=ROUNDING)

@@ -29,7 +29,7 @@ def fitted(method, train):
 
 def at(dataset, tx, carrier):
     """Rows of transmitters at carriers."""
-    return dataset.subset([tx * 3 + carrier])
+    return dataset[[tx * 3 + carrier]]
 
 
 def ask(method, position_m, carrier_hz):
@@ -54,14 +54,14 @@ def test_nearest_copies_the_map_at_the_carrier_nearest_on_a_log_axis(dataset: Pa
 
 
 def test_mean_over_frequency_averages_the_same_transmitter(dataset: PasDataset) -> None:
-    train = dataset.subset(np.flatnonzero(dataset.carrier_hz != 10e9))
+    train = dataset[np.flatnonzero(dataset.carrier_hz != 10e9)]
     expected = (at(dataset, 2, 0).pas()[0] + at(dataset, 2, 2).pas()[0]) / 2
     answer = ask(fitted(MeanOverFrequency(), train), at(dataset, 2, 0).tx_position_m[0], 10e9)
     np.testing.assert_allclose(answer, expected / expected.max(), atol=ROUNDING)
 
 
 def test_mean_over_frequency_averages_the_nearest_of_an_unseen_transmitter(dataset: PasDataset) -> None:
-    train = dataset.subset(np.flatnonzero(dataset.tx_index != 0))
+    train = dataset[np.flatnonzero(dataset.tx_index != 0)]
     position_m = dataset.tx_position_m[0]
     distance_m = np.linalg.norm(dataset.tx_position_m[3::3] - position_m, axis=1)
     nearest = 1 + np.argsort(distance_m)[:2]
@@ -71,7 +71,7 @@ def test_mean_over_frequency_averages_the_nearest_of_an_unseen_transmitter(datas
 
 
 def test_mean_over_frequency_takes_what_there_is_where_transmitters_are_few(dataset: PasDataset) -> None:
-    train = dataset.subset(np.arange(6))
+    train = dataset[np.arange(6)]
     expected = dataset.pas(np.arange(6)).mean(axis=0)
     answer = ask(fitted(MeanOverFrequency(), train), dataset.tx_position_m[23], 10e9)
     np.testing.assert_allclose(answer, expected / expected.max(), atol=ROUNDING)
@@ -94,13 +94,13 @@ def test_log_frequency_keeps_the_edge_outside_the_band(dataset: PasDataset) -> N
 
 
 def test_a_transmitter_that_lacks_a_carrier_uses_those_it_has(dataset: PasDataset) -> None:
-    train = dataset.subset(np.flatnonzero(dataset.rows != 4 * 3 + 1))
+    train = dataset[np.flatnonzero(dataset.rows != 4 * 3 + 1)]
     position_m = at(dataset, 4, 0).tx_position_m[0]
     np.testing.assert_array_equal(ask(fitted(Nearest(), train), position_m, 11e9), at(dataset, 4, 2).pas()[0])
 
 
 def test_mean_spectrum_is_the_mean_of_all_transmitters_at_the_nearest_carrier(dataset: PasDataset) -> None:
-    train = dataset.subset(np.flatnonzero((dataset.tx_index != 0) & (dataset.rows != 4 * 3 + 1)))
+    train = dataset[np.flatnonzero((dataset.tx_index != 0) & (dataset.rows != 4 * 3 + 1))]
     method = fitted(MeanSpectrum(), train)
     for asked_hz, carrier in ((0.5e9, 0), (3e9, 0), (3.3e9, 1), (10e9, 1), (200e9, 2)):
         maps = [at(dataset, tx, carrier).pas()[0] for tx in range(1, 8) if (tx, carrier) != (4, 1)]

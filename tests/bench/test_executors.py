@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.plans import plan_generation
 from xfreqbench.bench import executors as scale_out
 from xfreqbench.bench.executors import WAYS, bench_scale_out
 from xfreqbench.bench.tables import Bench
 from xfreqbench.data.dataset import open_dataset
-from xfreqbench.data.plan import BATCH, plan_generation
+from xfreqbench.data.plan import BATCH
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.runs.records import read
 from xfreqbench.scene.model import load_scene
@@ -18,7 +19,7 @@ from xfreqbench.scene.model import load_scene
 
 @pytest.mark.slow
 def test_executors_are_compared_on_the_same_bytes(tmp_path: Path) -> None:
-    plan = plan_generation(load_scene("empty"), [1e9], num_transmitters=2 * BATCH)
+    plan = plan_generation(load_scene("empty"), [1e9], tx=2 * BATCH)
     work = scale_out._Generation(plan, tmp_path)
     serial, processes = (scale_out._measured(way, work) for way in list(WAYS)[:2])
     assert serial.sha256 == processes.sha256 == open_dataset(tmp_path / "2 processes.h5").sha256

@@ -51,7 +51,7 @@ def test_the_channel_over_a_band_is_that_of_sionna_rt(tmp_path: Path, solver: st
     data = stored(tmp_path / "data.h5", simple_scenes(ONE_ELEMENT)["a wall and a pane between"], solver)
     for sample, (tx, carrier_hz) in enumerate(zip(data.tx_position_m, data.carrier_hz.tolist(), strict=True)):
         public = public_cfr(public_paths(data.scene, carrier_hz, tx))
-        ours = data.cfr_at(sample, OFFSETS_HZ).T
+        ours = data.paths(sample).impulse_response().cfr(OFFSETS_HZ).T
         # delays are float32 in Sionna RT: 6e-8 · 2πfτ is 2e-4 rad at 24.25 GHz and 6 m
         np.testing.assert_allclose(ours, public, rtol=0, atol=1e-3 * np.abs(public).max())
         flat = np.abs(ours).max() - np.abs(ours).min()
@@ -62,7 +62,7 @@ def test_at_the_array_a_path_is_the_spherical_wave_that_every_element_solves_for
     data = stored(tmp_path / "data.h5", simple_scenes(replace(RECEIVER, rows=2, cols=3))["a wall"])
     for sample, (tx, carrier_hz) in enumerate(zip(data.tx_position_m, data.carrier_hz.tolist(), strict=True)):
         public = public_cfr(public_paths(data.scene, carrier_hz, tx))
-        ours = data.cfr_at(sample, OFFSETS_HZ).T
+        ours = data.paths(sample).impulse_response().cfr(OFFSETS_HZ).T
         # gains are those at the centre, which change over the array as it is wide: measured 1.8e-2 and 1.8e-3
         atol = (3e-2 if carrier_hz < 3e9 else 3e-3) * np.abs(public).max()
         np.testing.assert_allclose(ours, public, rtol=0, atol=atol)
@@ -71,18 +71,19 @@ def test_at_the_array_a_path_is_the_spherical_wave_that_every_element_solves_for
 def test_the_impulse_response_is_that_of_sionna_rt_path_by_path(data: PasDataset) -> None:
     gain, delay_s = public_paths(data.scene, 2.4e9, TRANSMITTERS_M[0]).cir(normalize_delays=False, out_type="numpy")
     order = np.argsort(delay_s.reshape(-1))
-    ours = data.cir(0)
+    ours = data.paths(0).impulse_response()
     np.testing.assert_allclose(ours.delay_s[:, 0], delay_s.reshape(-1)[order], rtol=1e-6)
     np.testing.assert_allclose(ours.gain[:, 0], gain.reshape(-1)[order], atol=1e-3 * np.abs(gain).max())
 
 
 def test_for_one_element_the_band_runs_through_the_stored_channel(data: PasDataset) -> None:
     for sample in range(len(data)):
-        atol = 1e-6 * np.abs(data.cir(sample).gain).sum()  # both are rounded to complex64, the paths one by one
-        np.testing.assert_allclose(data.cfr_at(sample, [0.0])[0], data.cfr[sample], rtol=0, atol=atol)
+        response = data.paths(sample).impulse_response()
+        atol = 1e-6 * np.abs(response.gain).sum()  # both are rounded to complex64, the paths one by one
+        np.testing.assert_allclose(response.cfr([0.0])[0], data.cfr[sample], rtol=0, atol=atol)
 
 
 def test_an_absolute_frequency_is_no_offset(data: PasDataset) -> None:
     for wrong in ([24.25e9], [0.0, np.nan], [-2.4e9]):
         with pytest.raises(DataError, match=r"offsets from the carrier, 2\.4 GHz"):
-            data.cfr_at(0, wrong)
+            data.paths(0).impulse_response().cfr(wrong)

@@ -6,6 +6,7 @@ import json
 import pickle
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from torch.utils.data import DataLoader
 
 from tests.support.damage import flip
 from tests.support.synthetic import write_dataset
-from xfreqbench.cli.data import generate, info
+from xfreqbench.cli.data import GenerateArguments, generate, info
 from xfreqbench.data.collection import FILE, PARTS, Collection, Room, open_collection, room_of, write_collection
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.retrace import drawn_rows, require_origin
@@ -196,12 +197,11 @@ def test_another_collection_is_not_written_over(drawn: Collection, tmp_path: Pat
 def test_the_command_generates_says_what_it_takes_and_describes(
     drawn: Collection, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = {name: value for name, value in TINY.items() if name != "freqs_ghz"}
-    asked |= {"freqs": "2.4,24.25", "interactions": "specular"}
-    generate("rooms", output=tmp_path / "no", rooms=40, dry_run=True, **asked)
+    asked = GenerateArguments(rooms=40, **TINY)
+    generate("rooms", output=tmp_path / "no", options=asked, dry_run=True)
     assert "40 rooms of 'rooms' × 3 transmitters × 2 carriers" in capsys.readouterr().out
     assert not (tmp_path / "no").exists()
-    generate("rooms", output=drawn.path, rooms=3, quiet=True, **asked)
+    generate("rooms", output=drawn.path, options=replace(asked, rooms=3), quiet=True)
     info(drawn.path)
     said = capsys.readouterr().out
     assert "rooms     3: " in said

@@ -15,11 +15,10 @@ import pytest
 
 from tests.support.damage import flip
 from tests.support.forked import command_line
-from tests.support.plans import SETTINGS, small_plan
+from tests.support.plans import SETTINGS, plan_generation, small_plan
 from xfreqbench.data.batches import batch_folder
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import OutputExistsError, StorageError
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface
 
@@ -153,7 +152,7 @@ def test_a_transmitter_without_any_path_is_kept_and_flagged(tmp_path: Path) -> N
         for n, (flat, end) in enumerate(itertools.product(np.eye(3, dtype=bool), (low, high)))
     ]
     scene = Scene("cage", ReceiverArray(position_m=(0.0, 0.0, 2.0)), surface=tuple(walls))
-    plan = plan_generation(scene, [5e9], SETTINGS, tx_position_m=np.array([[3.0, 0.3, 1.0]]), paths=True)
+    plan = plan_generation(scene, [5e9], SETTINGS, tx_positions=np.array([[3.0, 0.3, 1.0]]), paths=True)
     dataset = open_dataset(generate_planned(plan, tmp_path / "cage.h5"))
     assert len(dataset) == 1
     assert not dataset.has_path.any() and not dataset.pas().any()

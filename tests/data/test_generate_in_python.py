@@ -3,46 +3,48 @@
 from __future__ import annotations
 
 import inspect
-from dataclasses import asdict, replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
+from typing_extensions import Doc
 
 import xfreqbench as xb
-from xfreqbench.cli import data as commands
+from tests.support.fuzzing.common import xfreqbench
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.errors import OutputExistsError, PlacementError, XFreqBenchError
+from xfreqbench.data.options import GenerateOptions
+from xfreqbench.errors import ArgumentError, OutputExistsError, PlacementError, XFreqBenchError
 from xfreqbench.scene.toml_files import shipped_folder
 from xfreqbench.tracing.versions import software_versions
 
 SMALL = {"freqs_ghz": [2.4, 24.25], "tx": 3, "rays": 20_000, "max_depth": 2}
-OF_THE_COMMAND_ALONE = {"freqs", "dry_run", "quiet"}
-OF_SCENES_ALONE, OF_ROOMS_ALONE = {"scene", "tx_positions", "receiver"}, {"family", "rooms"}
-NOT_SAID = {"tx", "rays", "max_depth", "maps"}  # by the command: their defaults are others for a scene and for rooms
-OF_PYTHON_ALONE = {"freqs_ghz", "progress", "tell"}
 
 
 def small(path: Path, **changes: object) -> PasDataset:
     return xb.generate("empty", output=path, **{**SMALL, **changes})  # type: ignore[arg-type]
 
 
-def test_every_option_of_the_command_is_one_here_with_the_same_default() -> None:
-    command = inspect.signature(commands.generate).parameters
-    of_scene, of_rooms = (inspect.signature(function).parameters for function in (xb.generate, xb.generate_rooms))
-    options = command.keys() - OF_THE_COMMAND_ALONE
-    assert of_scene.keys() - OF_PYTHON_ALONE == options - OF_ROOMS_ALONE
-    assert of_rooms.keys() - OF_PYTHON_ALONE - OF_ROOMS_ALONE == options - OF_SCENES_ALONE - OF_ROOMS_ALONE
-    for python in (of_scene, of_rooms):
-        shared = (options & python.keys()) - NOT_SAID - OF_ROOMS_ALONE - {"scene", "output"}
-        assert {name: python[name].default for name in shared} == {name: command[name].default for name in shared}
-    assert {command[name].default for name in NOT_SAID} == {None}
+def test_the_options_of_the_command_are_those_of_python_and_each_says_what_it_is() -> None:
+    known = {each.name: each.default for each in fields(GenerateOptions)}
+    for function, own in ((xb.generate, {"tx_positions", "receiver"}), (xb.generate_rooms, {"rooms"})):
+        taken = [*inspect.signature(function).parameters.values()][2:]
+        others = {"rooms", "tx_positions", "receiver"} - own
+        assert {each.name: each.default for each in taken if each.name != "rooms"} == {
+            name: default for name, default in known.items() if name not in others | {"rooms"}
+        }
+    command = xfreqbench("generate", "--help").stdout
+    for name, hint in get_type_hints(GenerateOptions, include_extras=True).items():
+        if name not in ("_", "progress", "tell"):
+            assert f"--{name.replace('_', '-')}" in command
+            assert [part for part in hint.__metadata__ if isinstance(part, Doc)]
+    with pytest.raises(ArgumentError, match="generate_rooms needs rooms"):
+        xb.generate_rooms("rooms", "x")
 
 
 def test_what_the_rays_are_asked_by_default_are_the_defaults_of_the_settings() -> None:
-    python = inspect.signature(xb.generate).parameters
-    settings = asdict(xb.TraceSettings()) | {"interactions": None}  # those of ground truth depend on the scene
-    assert {name: python[name].default for name in settings} == settings
+    assert GenerateOptions().settings == xb.TraceSettings()
 
 
 def test_a_scene_is_a_name_a_path_or_a_scene(tmp_path: Path) -> None:

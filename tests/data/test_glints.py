@@ -9,10 +9,10 @@ import trimesh
 
 from tests.support.furnished_room import GRID, RECEIVER, SHELL, write_meshes
 from tests.support.fuzzing.common import xfreqbench
+from tests.support.plans import plan_generation
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.glints import glints
-from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import DataError
 from xfreqbench.scene.model import Scene
 from xfreqbench.tracing.tracer import TraceSettings
@@ -31,7 +31,7 @@ def tiled(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 
 def traced(scene: Scene, path: Path) -> PasDataset:
-    plan = plan_generation(scene, [24.25e9], SETTINGS, tx_position_m=TX_M, maps=False)
+    plan = plan_generation(scene, [24.25e9], SETTINGS, tx_positions=TX_M, maps=False)
     return open_dataset(generate_planned(plan, path))
 
 

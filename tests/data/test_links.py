@@ -16,10 +16,10 @@ import xfreqbench as xb
 from tests.support.fuzzing.common import xfreqbench
 from tests.support.synthetic import write_dataset
 from xfreqbench.data.batches import BatchStore
-from xfreqbench.data.dataset import PasDataset, verify
+from xfreqbench.data.dataset import PasDataset, isolated, links, verify
 from xfreqbench.data.schema import variables
 from xfreqbench.data.splits import find_split
-from xfreqbench.data.trace import channel_by
+from xfreqbench.data.trace import traced
 from xfreqbench.errors import DataError, OutputExistsError, ProtocolError, UnknownNameError, XFreqBenchError
 from xfreqbench.exchange.split_file import Handout
 from xfreqbench.methods.lookup import TrainingTransmitters
@@ -57,11 +57,12 @@ def test_every_link_is_as_in_a_file_of_its_own(joint: PasDataset, tmp_path: Path
         assert link.header.attributes() == alone.header.attributes()
         assert link.recipe == alone.recipe
         for name in ("cfr", "peak_power", "num_paths", "line_of_sight"):
-            np.testing.assert_array_equal(getattr(link, name), getattr(alone, name), name)
+            np.testing.assert_array_equal(link.tables[name], alone.tables[name], name)
         np.testing.assert_array_equal(link.pas(), alone.pas())
-        assert link.sha256 != alone.sha256 and len(alone.receivers) == 0
+        assert link.sha256 != alone.sha256 and len(alone.file_header.receivers) == 0
         for sample in range(len(alone)):
-            np.testing.assert_allclose(link.cir(sample).gain.sum(0), alone.cir(sample).gain.sum(0), rtol=0, atol=1e-12)
+            gains = [data.paths(sample).impulse_response().gain.sum(0) for data in (link, alone)]
+            np.testing.assert_allclose(*gains, rtol=0, atol=1e-12)
 
 
 def test_the_line_of_sight_does_not_turn_the_field(joint: PasDataset) -> None:
@@ -73,19 +74,19 @@ def test_the_line_of_sight_does_not_turn_the_field(joint: PasDataset) -> None:
 
 
 def test_a_file_says_which_links_it_holds_and_shows_one(joint: PasDataset, tmp_path: Path) -> None:
-    assert (joint.receivers, joint.polarizations) == (("first one", "low"), ("VV", "VH", "HV", "HH"))
-    assert joint.link_names == ("first one", "VV") and "first one, of first one, low" in repr(joint)
-    assert len({link.sha256 for link in joint.links()}) == len({link.recipe for link in joint.links()}) == 8
+    assert joint.file_header.link_names == (("first one", "low"), ("VV", "VH", "HV", "HH"))
+    assert joint.link == ("first one", "VV") and "first one, of first one, low" in repr(joint)
+    assert len({link.sha256 for link in links(joint)}) == len({link.recipe for link in links(joint)}) == 8
     link = joint.at("low", "HV")[[3, 1]]
     again = pickle.loads(pickle.dumps(link))
-    assert (again.link_names, again.rows.tolist()) == (("low", "HV"), [3, 1])
+    assert (again.link, again.rows.tolist()) == (("low", "HV"), [3, 1])
     np.testing.assert_array_equal(again.pas(), link.pas())
-    assert link.at(polarization="HH").link_names == ("low", "HH")
+    assert link.at(polarization="HH").link == ("low", "HH")
     with pytest.raises(UnknownNameError, match="low"):
         joint.at("lo")
     with pytest.raises(DataError, match="with one receiver"):
-        joint.isolated().at("low")
-    assert xb.open_dataset(joint.path, "low").link_names == ("low", "VV")
+        isolated(joint).at("low")
+    assert xb.open_dataset(joint.path, "low").link == ("low", "VV")
     with h5py.File(joint.path) as file:
         axes = [dimension[0].name for dimension in file["cfr"].dims]
         assert axes == ["/tx", "/receiver", "/polarization", "/carrier_hz", "/element"]
@@ -153,13 +154,13 @@ def test_a_killed_generation_of_several_links_ends_in_the_same_bytes(
 
 
 def test_the_proof_of_origin_sees_every_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def spoilt(tracers: Any, tracing: Any, tx_position_m: Any) -> Channel:
-        channel = channel_by(tracers, tracing, tx_position_m)
+    def spoilt(*arguments: Any, **named: Any) -> Channel:
+        channel = traced(*arguments, **named)
         if channel.cfr.ndim > 3:
             channel.cfr[:, 1, 1] *= 1.01  # in the file, and in no channel of one link
         return channel
 
-    monkeypatch.setattr("xfreqbench.data.trace.channel_by", spoilt)
+    monkeypatch.setattr("xfreqbench.data.generate.traced", spoilt)
     with pytest.raises(DataError, match="does not hold what its header says"):
         few(tmp_path / "data.h5")
 
@@ -220,11 +221,11 @@ def test_nothing_heard_at_a_held_out_receiver_is_trained_on(rooms: PasDataset) -
     assert len(split.test) + split.num_without_path == len(rooms)
     assert dict(split.receivers) == {name: rooms.at(name).recipe.id for name in ("first one", "wall")}
     train = split.training_part(rooms.at("north"))
-    assert len(train) == 0 and train.is_isolated and train.header.receiver.name == "north"
+    assert len(train) == 0 and train._is_isolated and train.header.receiver.name == "north"
     for part in (train, pickle.loads(pickle.dumps(train))):
         assert not any(part.tables[name].any() for name in ("cfr", "peak_power", "num_paths"))
-        assert [other.link_names[0] for other in part.other_receivers] == ["first one", "wall"]
-        assert all(other.is_isolated and other.has_path.all() for other in part.other_receivers)
+        assert [other.link[0] for other in part.other_receivers] == ["first one", "wall"]
+        assert all(other._is_isolated and other.has_path.all() for other in part.other_receivers)
         with pytest.raises(DataError, match="with one receiver"):
             part.at("wall")
     for refused in ({"on": "validation"}, {"targets_ghz": [2.4]}):
@@ -253,7 +254,7 @@ def test_every_receiver_is_held_out_in_turn(rooms: PasDataset, tmp_path: Path) -
 def test_line_of_sight_knows_where_the_held_out_receiver_is(rooms: PasDataset, tmp_path: Path) -> None:
     wall = rooms.at("wall")
     maps = []
-    for train in (wall.isolated(), training_part(wall)):
+    for train in (isolated(wall), training_part(wall)):
         method = LineOfSight()
         list(method.fit(train, xb.Budget(), 0))
         method.save(tmp_path)
@@ -263,7 +264,7 @@ def test_line_of_sight_knows_where_the_held_out_receiver_is(rooms: PasDataset, t
 
 def test_a_map_of_another_receiver_is_turned_into_the_frame_of_the_one_that_is_asked_for(rooms: PasDataset) -> None:
     wall = rooms.at("wall")
-    (train,) = [data for data in training_part(wall).other_receivers if data.link_names[0] == "north"]
+    (train,) = [data for data in training_part(wall).other_receivers if data.link[0] == "north"]
     north = TrainingTransmitters(train, wall)
     world = np.array([1.0, 0.2, -1.0]) / np.linalg.norm([1.0, 0.2, -1.0])  # in front of both
 

@@ -15,7 +15,7 @@ from tests.support.fuzzing.hdf5 import hdf5_files, spoilt_file
 from tests.support.plans import CARRIERS_HZ, SETTINGS, small_plan, unfinished
 from tests.support.sionna_scenes import moved
 from xfreqbench.data.batches import BatchStore
-from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.data.dataset import PasDataset, isolated, open_dataset, verify
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.paths import SamplePaths
 from xfreqbench.data.plan import Plan
@@ -81,7 +81,7 @@ def test_samples_are_counted_as_elsewhere(stored: PasDataset) -> None:
 
 def test_a_method_is_not_shown_paths_which_tell_of_other_carriers(stored: PasDataset) -> None:
     with pytest.raises(DataError, match=r"rooms\.h5 is shown to methods without its paths"):
-        stored[[0, 2]].isolated().paths(0)
+        isolated(stored[[0, 2]]).paths(0)
 
 
 def test_without_paths_a_file_is_what_it_was(tmp_path: Path, whole: Path) -> None:

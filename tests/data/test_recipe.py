@@ -12,11 +12,11 @@ import pytest
 import trimesh
 
 from tests.support.furnished_room import GRID, RECEIVER, SHELL, write_meshes
-from tests.support.plans import wall_moved
+from tests.support.plans import plan_generation, wall_moved
 from tests.support.synthetic import append_all, make_header
-from xfreqbench.data.dataset import open_dataset
+from xfreqbench.data.dataset import isolated, open_dataset
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import Plan, plan_generation
+from xfreqbench.data.plan import Plan
 from xfreqbench.data.recipe import Recipe, job_of, recipe_name
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.maps.grid import AngularGrid
@@ -35,7 +35,7 @@ def planned(
 ) -> Plan:
     of_plan = {name: changes.pop(name) for name in ("pas_kind", "maps", "paths") if name in changes}
     settings = TraceSettings(**{"interactions": ("specular", "refraction"), **changes})
-    return plan_generation(scene, carrier_hz, settings, tx_position_m=tx_position_m, **of_plan)
+    return plan_generation(scene, carrier_hz, settings, tx_positions=tx_position_m, **of_plan)
 
 
 def recipe_of(plan: Plan, grid: AngularGrid = GRID_OF_MAPS) -> Recipe:
@@ -179,7 +179,7 @@ def test_meshes_are_in_the_recipe_by_what_they_are_and_not_by_their_file(tmp_pat
 def test_a_file_has_the_recipe_of_its_plan(tmp_path: Path, usual: Recipe) -> None:
     dataset = open_dataset(generate_planned(planned(), tmp_path / "rooms.h5"))
     assert dataset.recipe == usual
-    assert dataset.isolated()[:1].recipe == usual
+    assert isolated(dataset)[:1].recipe == usual
 
 
 def test_data_that_do_not_say_how_they_were_made_are_named_by_their_content(tmp_path: Path) -> None:

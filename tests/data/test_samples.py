@@ -34,7 +34,7 @@ def test_a_sample_is_a_map_with_its_transmitter_and_its_carrier(dataset: PasData
     "rows", [slice(1, 9, 4), [1, 5], range(1, 9, 4), np.array([1, 5]), np.array([-11, -7]), np.isin(range(12), [1, 5])]
 )
 def test_slices_numbers_and_masks_give_subsets(dataset: PasDataset, rows: slice | np.ndarray) -> None:
-    for subset in (dataset[rows], dataset.subset(rows)):
+    for subset in (dataset[rows], dataset[rows]):
         np.testing.assert_array_equal(subset.rows, [1, 5])
     np.testing.assert_array_equal(dataset.pas(rows), dataset.pas([1, 5]))
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.plans import plan_generation
 from tests.support.synthetic import append_all, make_header, write_dataset
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import plan_generation
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.errors import DataError
@@ -69,7 +69,7 @@ def with_header(path: Path, **changes: object) -> PasDataset:
 
 def test_a_generated_data_set_knows_its_scene_and_what_was_asked_of_the_rays(tmp_path: Path) -> None:
     settings = TraceSettings(interactions=("specular", "refraction"), solver="image", max_depth=2)
-    plan = plan_generation(load_scene("empty"), [1e9], settings, num_transmitters=1, maps=False)
+    plan = plan_generation(load_scene("empty"), [1e9], settings, tx=1, maps=False)
     dataset = open_dataset(generate_planned(plan, tmp_path / "data.h5"))
     assert replace(dataset.scene, folder=load_scene("empty").folder) == load_scene("empty")
     assert dataset.trace_settings == settings

@@ -12,11 +12,11 @@ from tests.support.web import Server, served
 from xfreqbench.data import shipped
 from xfreqbench.data.dataset import verify
 from xfreqbench.data.fingerprint import compare_fingerprint
-from xfreqbench.data.generate import plan_of
+from xfreqbench.data.options import GenerateOptions
+from xfreqbench.data.plan import plan_generation
 from xfreqbench.data.recipe import Recipe
 from xfreqbench.errors import DataError, UnknownNameError
 from xfreqbench.scene.toml_files import shipped_folder
-from xfreqbench.units import PAPER_CARRIERS_GHZ
 
 OFFICE = shipped_folder() / "office.h5"
 
@@ -33,8 +33,7 @@ def test_the_office_ships_as_it_would_be_traced_now() -> None:
     """If not: `xfreqbench generate office --no-maps -o scenes/office.h5`, and its sha256 into scenes/registry.txt."""
     data = xb.load("office")
     assert data.path == OFFICE.resolve() and shipped.registered()["office"].sha256 == pooch.file_hash(OFFICE)
-    chosen = {"tx": None, "tx_positions": None, "pas_kind": "power", "maps": False, "paths": False, "receiver": None}
-    plan = plan_of("office", PAPER_CARRIERS_GHZ, xb.TraceSettings(), **chosen)  # type: ignore[arg-type]
+    plan = plan_generation("office", GenerateOptions(maps=False))
     asked = Recipe.of_scene(plan.scene, plan.settings, plan.header, plan.tx_position_m, data.grid)
     assert data.recipe == asked
     match = compare_fingerprint(data)

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from tests.support.plans import CARRIERS_HZ, small_plan
 from xfreqbench.cli.data import info, plot
-from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.dataset import PasDataset, isolated, open_dataset
 from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.power import power_db
 from xfreqbench.data.standards import TR38901_K_DB, TR38901_SPREADS, spread_by, tr38901_path_loss_db
 from xfreqbench.data.statistics import MECHANISMS, of_paths, statistics
 from xfreqbench.errors import DataError, XFreqBenchError
@@ -163,16 +164,16 @@ def test_the_local_mean_is_the_mean_power_of_transmitters_on_the_disc(
     radius_m = radius_wavelengths * SPEED_OF_LIGHT_M_S / CARRIERS_HZ[1] * radius[:, None]
     spiral_m = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1) * radius_m
     at_m = np.array([1.0, 2.0, 1.2]) + np.vstack([np.zeros(3), spiral_m])
-    plan = small_plan(one_element, None, tx_position_m=at_m, maps=False, paths=True)
+    plan = small_plan(one_element, None, tx_positions=at_m, maps=False, paths=True)
     dataset = open_dataset(generate_planned(plan, tmp_path / "disc.h5"))
-    dataset = dataset.subset(dataset.carrier_hz == CARRIERS_HZ[1])
-    mean_db = 10 * np.log10(np.mean(10 ** (dataset.power_db[1:] / 10)))
-    assert dataset[:1].local_mean_db(radius_wavelengths) == pytest.approx(mean_db, abs=0.05)
-    assert abs(dataset.power_db[0] - mean_db) > 0.3
+    dataset = dataset[dataset.carrier_hz == CARRIERS_HZ[1]]
+    mean_db = 10 * np.log10(np.mean(10 ** (power_db(dataset)[1:] / 10)))
+    assert power_db(dataset[:1], radius_wavelengths) == pytest.approx(mean_db, abs=0.05)
+    assert abs(power_db(dataset)[0] - mean_db) > 0.3
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("xfreqbench.tracing.paths._BLOCK_PATHS", 2)  # of several times as many
-        np.testing.assert_allclose(dataset[:1].local_mean_db(radius_wavelengths), mean_db, atol=0.05)
-    assert dataset.local_mean_db(math.inf) == pytest.approx(-statistics(dataset).links.path_loss_db[:, 0])
+        np.testing.assert_allclose(power_db(dataset[:1], radius_wavelengths), mean_db, atol=0.05)
+    assert power_db(dataset, math.inf) == pytest.approx(-statistics(dataset).links.path_loss_db[:, 0])
 
 
 def test_traced_again_the_statistics_are_those_of_the_stored_paths(rooms: PasDataset, tmp_path: Path) -> None:
@@ -186,13 +187,13 @@ def test_traced_again_the_statistics_are_those_of_the_stored_paths(rooms: PasDat
 
 
 def test_a_subset_has_statistics_of_its_own_samples(rooms: PasDataset) -> None:
-    last = rooms.num_carriers - 1
-    own = statistics(rooms.subset(rooms.carrier_hz == rooms.header.carrier_hz[last]))
+    last = rooms.header.num_carriers - 1
+    own = statistics(rooms[rooms.carrier_hz == rooms.header.carrier_hz[last]])
     assert {row["carrier_ghz"] for row in own.rows} == {rooms.header.carrier_hz[last] / 1e9}
     np.testing.assert_array_equal(own.links.path_loss_db[:, 0], statistics(rooms).links.path_loss_db[:, last])
-    assert statistics(rooms.subset([0])).links.tx_index.tolist() == [0]
+    assert statistics(rooms[[0]]).links.tx_index.tolist() == [0]
     with pytest.raises(DataError, match="shown to methods without its paths"):
-        statistics(rooms.isolated())
+        statistics(isolated(rooms))
 
 
 def test_data_of_others_have_statistics_without_a_room(rooms: PasDataset, tmp_path: Path) -> None:

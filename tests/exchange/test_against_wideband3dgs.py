@@ -94,8 +94,8 @@ def test_the_published_frame_is_the_one_in_which_waves_come_from_their_transmitt
 def test_the_nearest_published_transmitter_looks_like_a_lone_wave_from_where_it_is(published: PasDataset) -> None:
     offset_m = published.tx_position_m - np.array(published.header.receiver.position_m)
     distance_m = np.where(offset_m[:, 2] > 0, np.linalg.norm(offset_m, axis=1), np.inf)  # above the horizon
-    nearest = published.subset(np.flatnonzero(distance_m == distance_m.min()))
-    assert len(nearest) == published.num_carriers
+    nearest = published[np.flatnonzero(distance_m == distance_m.min())]
+    assert len(nearest) == published.header.num_carriers
     method = build_method("line-of-sight")
     fit_within(method, nearest, Budget(), seed=0)
     maps = method.predict(nearest.tx_position_m, nearest.carrier_hz)
@@ -113,7 +113,7 @@ def test_the_mean_over_frequency_scores_on_published_maps_what_others_measured(
     tolerance = 0.002  # three digits are known
     record = run_job(Job(str(published.path), "mean-over-frequency", "lofo", f"lofo-{target}"), tmp_path)
     assert record.scores["ssim"].median == pytest.approx(with_peak_1, abs=tolerance)
-    maps = published.pas().reshape(-1, published.num_carriers, *published.grid.shape)
+    maps = published.pas().reshape(-1, published.header.num_carriers, *published.grid.shape)
     is_tested = np.isclose(published.header.carrier_hz, float(target.removesuffix("GHz")) * 1e9)
     mean, truth = maps[:, ~is_tested].mean(axis=1), maps[:, is_tested][:, 0]
     assert np.median(ssim(mean, truth, published.grid)) == pytest.approx(of_the_mean, abs=tolerance)

@@ -63,7 +63,7 @@ def test_channels_are_those_of_the_waves_at_every_element(tmp_path: Path, suffix
     verify(data.path)
     np.testing.assert_array_equal(data.tx_position_m, USERS_M[[0, 2]])
     assert data.header.rejected == {"without a path": 1}
-    assert data.line_of_sight.all()
+    assert data.tables["line_of_sight"].all()
     wavelength_m = SPEED_OF_LIGHT_M_S / CARRIER_HZ
     element_m = data.header.receiver.element_position_m(wavelength_m)
     for row, user_m in enumerate(USERS_M[[0, 2]]):
@@ -111,7 +111,7 @@ def test_what_was_exported_at_several_carriers_comes_back(traced: PasDataset, ex
     np.testing.assert_array_equal(back.tx_position_m, traced.tx_position_m)
     for sample in range(len(traced)):
         np.testing.assert_allclose(rows_of(back, sample), rows_of(traced, sample), atol=2e-6)  # float32
-        by_paths = traced.cfr_at(sample, [0.0])[0]
+        by_paths = traced.paths(sample).impulse_response().cfr([0.0])[0]
         np.testing.assert_allclose(back.cfr[sample], by_paths, atol=1e-5 * np.abs(by_paths).max())
     assert not import_deepmimo(exported, tmp_path / "back.h5")  # it is there already
     with pytest.raises(OutputExistsError, match="holds another data set"):
@@ -256,7 +256,7 @@ def test_scenarios_of_other_users_are_not_joined(tmp_path: Path) -> None:
         import_deepmimo(tmp_path / "both", tmp_path / "both.h5")
     retold("3500000000.0", "28e9")(second)
     assert import_deepmimo(tmp_path / "both", tmp_path / "both.h5")
-    assert open_dataset(tmp_path / "both.h5").num_carriers == 2
+    assert open_dataset(tmp_path / "both.h5").header.num_carriers == 2
     change("rx_pos", lambda table: table + 0.01)(second)
     with pytest.raises(DataError, match=r"stand elsewhere than at 3\.5 GHz"):
         import_deepmimo(tmp_path / "both", tmp_path / "moved.h5")

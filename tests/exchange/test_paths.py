@@ -16,6 +16,7 @@ from tests.support.fuzzing.common import xfreqbench
 from tests.support.sionna_scenes import GRID, ONE_ELEMENT, simple_scenes
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.generate import generate
+from xfreqbench.data.power import power_db, received_power_dbm
 from xfreqbench.data.statistics import statistics
 from xfreqbench.errors import DataError
 from xfreqbench.exchange.deepmimo import export_deepmimo
@@ -63,7 +64,7 @@ def test_the_matrices_of_deepmimo_sum_up_to_the_channel(data: PasDataset, scenar
     found = matrices(scenarios / f"wall___pane_{CARRIERS_GHZ[carrier]:g}ghz")
     amplitude = 10 ** (found["power"] / 20) * np.exp(1j * np.radians(found["phase"]))
     for tx in range(len(TX_M)):
-        channel = data.cfr_at(2 * tx + carrier, [0.0])[0, 0]
+        channel = data.paths(2 * tx + carrier).impulse_response().cfr([0.0])[0, 0]
         assert np.nansum(amplitude[tx]) == pytest.approx(channel, rel=1e-5)
     assert (np.diff(np.nan_to_num(found["power"], nan=-999), axis=1) <= 0).all()  # the strongest first
     np.testing.assert_array_equal(found["rx_pos"], TX_M)
@@ -109,7 +110,7 @@ def test_the_package_deepmimo_computes_our_channel_over_a_band(data: PasDataset,
     given.ofdm.selected_subcarriers = np.arange(64)
     channel = loaded.compute_channels(given)[:, 0, 0] * np.sqrt(64)  # it spreads the power over the subcarriers
     for tx in range(len(TX_M)):
-        ours = data.cfr_at(2 * tx + 1, np.arange(64) * 100e6 / 64)[:, 0]
+        ours = data.paths(2 * tx + 1).impulse_response().cfr(np.arange(64) * 100e6 / 64)[:, 0]
         np.testing.assert_allclose(channel[tx], ours, rtol=0, atol=1e-5 * np.abs(ours).max())  # complex64
     assert loaded.los.tolist() == [0, 0, 1]
     assert loaded.inter_str[0, 1] == "RT"
@@ -176,11 +177,11 @@ def test_a_table_has_powers_and_spreads_of_every_link(both: PasDataset, tmp_path
         np.testing.assert_array_equal(np.stack([rows.tx, rows.carrier]), np.divmod(np.arange(6), 2))
         np.testing.assert_allclose(rows[["x_m", "y_m", "z_m"]], link.tx_position_m)
         np.testing.assert_allclose(np.stack([rows.carrier_hz, 1e9 * rows.carrier_ghz]), [link.carrier_hz] * 2)
-        np.testing.assert_array_equal(rows.in_sight.astype(bool), link.line_of_sight)
+        np.testing.assert_array_equal(rows.in_sight.astype(bool), link.tables["line_of_sight"][link.tx_index])
         sent_dbm = 23.0 if suffix == "csv" else 10.0
-        np.testing.assert_allclose(rows.received_power_dbm, link.received_power_dbm(None if suffix == "csv" else 10.0))
+        np.testing.assert_allclose(rows.received_power_dbm, received_power_dbm(link, None if suffix == "csv" else 10.0))
         np.testing.assert_allclose(rows.received_power_dbm, rows.gain_db + sent_dbm)
-        np.testing.assert_allclose(rows.local_mean_db, link.local_mean_db())
+        np.testing.assert_allclose(rows.local_mean_db, power_db(link, 1.0))
         known = statistics(link).links
         np.testing.assert_allclose(rows.distance_m, np.repeat(known.distance_m, 2))
         for name in ("num_paths", "k_factor_db", "departure_zenith_spread_deg", "arrival_azimuth_spread_deg"):
@@ -196,7 +197,7 @@ def test_a_table_has_powers_and_spreads_of_every_link(both: PasDataset, tmp_path
 
 def test_a_table_without_paths_or_power_leaves_them_empty(data: PasDataset, plain: PasDataset, tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"states no transmit power\. Give it, as in received_power_dbm"):
-        plain.received_power_dbm()
+        received_power_dbm(plain)
     told = xfreqbench("export", plain.path, "-o", tmp_path / "t.csv", "--to", "table")
     assert told.code == 0 and "holds no paths, of which local means" in told.stdout
     table = pandas.read_csv(tmp_path / "t.csv")

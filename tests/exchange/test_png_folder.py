@@ -247,8 +247,8 @@ def test_what_was_not_published_is_marked_so(tmp_path: Path) -> None:
     Image.fromarray(np.zeros((91, 361), np.uint8)).save(folder / "spectrum" / "00003.png")
     dataset = imported(folder, tmp_path / "data.h5")
     np.testing.assert_array_equal(dataset.has_path, [False, True, True, True])
-    np.testing.assert_array_equal(dataset.num_paths, [0, -1, -1, -1])
-    assert dataset.line_of_sight.all()
+    np.testing.assert_array_equal(dataset.tables["num_paths"].flat[dataset.rows], [0, -1, -1, -1])
+    assert dataset.tables["line_of_sight"][dataset.tx_index].all()
     assert dataset.header.pas_kind == "amplitude"
     assert "not_published" in dataset.header.settings
     with pytest.raises(DataError, match="maps alone"):
@@ -287,7 +287,9 @@ def test_a_map_that_is_nowhere_white_has_peak_1_and_its_own_peak_power(tmp_path:
     Image.fromarray(levels(3) // 2).save(folder / "spectrum" / "00003.png")
     dataset = imported(folder, tmp_path / "data.h5")
     assert dataset.pas([0]).max() == 1  # sample 3 comes first
-    np.testing.assert_allclose(dataset.peak_power, [(127 / 255) ** 2, 1, 1, 1])  # amplitude, squared
+    np.testing.assert_allclose(
+        dataset.tables["peak_power"].flat[dataset.rows], [(127 / 255) ** 2, 1, 1, 1]
+    )  # amplitude, squared
 
 
 def test_large_maps_are_imported_a_transmitter_at_a_time_with_the_same_outcome(

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tests.support.prediction_files import SPLITS, killed, noisy_maps, write_predictions
 from tests.support.stub_methods import run_job
 from xfreqbench.cli import exchange
-from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.dataset import PasDataset, isolated
 from xfreqbench.data.splits import make_splits
 from xfreqbench.errors import DataError, UnknownNameError
 from xfreqbench.exchange import score_file as external
@@ -32,7 +32,7 @@ def stored(results: Path) -> tuple[RunRecord, ...]:
 
 def fitted(name: str, dataset: PasDataset, split):
     method = build_method(name)
-    fit_within(method, dataset.subset(split.train).isolated(), Budget(), seed=0)
+    fit_within(method, isolated(dataset[split.train]), Budget(), seed=0)
     return method
 
 

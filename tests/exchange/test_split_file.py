@@ -32,7 +32,7 @@ def test_a_split_file_holds_the_rows_of_the_protocol_and_their_coordinates(
         for split in make_splits(dataset, "lofo"):
             group = file[split.name]
             for part, rows in (("train", split.train), ("test", split.test)):
-                samples = dataset.subset(rows)
+                samples = dataset[rows]
                 np.testing.assert_array_equal(group[f"{part}_row"], rows)
                 np.testing.assert_array_equal(group[f"{part}_tx_position_m"], samples.tx_position_m)
                 np.testing.assert_array_equal(group[f"{part}_carrier_hz"], samples.carrier_hz)

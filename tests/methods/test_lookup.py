@@ -18,7 +18,7 @@ from xfreqbench.methods.lookup import TrainingTransmitters
 @pytest.fixture(scope="module")
 def train(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
     dataset = write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=4)
-    return dataset.subset(np.flatnonzero(dataset.tx_index != 2))
+    return dataset[np.flatnonzero(dataset.tx_index != 2)]
 
 
 def test_only_positions_of_training_transmitters_are_known(train: PasDataset) -> None:

@@ -34,7 +34,7 @@ def copied(kept: tuple[Path, RunRecord], tmp_path: Path) -> tuple[Path, RunRecor
 
 def test_a_loaded_method_predicts_what_the_run_stored(dataset: PasDataset, kept: tuple[Path, RunRecord]) -> None:
     results, record = kept
-    test = dataset.subset(task_of(record.job).split.test)
+    test = dataset[task_of(record.job).split.test]
     stored = ResultsFolder(results).predictions(record).maps_of(test.rows, 8)
     for run in (record, record.id):
         method = xb.load_method(results, run)
@@ -45,7 +45,7 @@ def test_a_loaded_method_predicts_what_the_run_stored(dataset: PasDataset, kept:
 
 def test_a_loaded_method_goes_on_with_its_fit(dataset: PasDataset, kept: tuple[Path, RunRecord]) -> None:
     method = xb.load_method(*kept)
-    train = dataset.subset(task_of(kept[1].job).split.train)
+    train = dataset[task_of(kept[1].job).split.train]
     assert next(iter(method.fit(train, Budget(max_steps=9), 0))).step == 4
 
 

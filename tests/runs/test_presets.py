@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.support.fuzzing.common import xfreqbench
-from xfreqbench.cli import data, runs
+from xfreqbench.cli import runs
+from xfreqbench.data.generate import generate
 from xfreqbench.data.splits import protocols
 from xfreqbench.errors import OutputExistsError, StorageError, UnknownNameError
 from xfreqbench.methods.registry import build_method, method_names
@@ -157,7 +158,7 @@ def test_a_measurement_that_fails_is_named_and_made_again(folder: Path, monkeypa
 
 def test_a_file_that_holds_other_data_is_not_used(folder: Path) -> None:
     planned = plan_benchmark("small", folder / "other", folder / "results")
-    data.generate("empty", output=planned.data_path("empty"), tx=3, quiet=True)
+    generate("empty", planned.data_path("empty"), tx=3)
     with pytest.raises(OutputExistsError):
         benchmarks.generate_data(planned)
 

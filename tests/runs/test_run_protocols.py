@@ -39,7 +39,7 @@ def test_what_is_finished_is_not_run_again_whether_the_data_come_open_or_as_a_pa
 
 def test_all_targets_are_a_split_each(dataset: PasDataset, tmp_path: Path) -> None:
     records = xb.run(dataset, "line-of-sight", results=tmp_path, targets_ghz="all")
-    assert len(records) == dataset.num_carriers
+    assert len(records) == dataset.header.num_carriers
 
 
 def test_validation_runs_stand_on_a_board_of_their_own_and_leave_the_test_alone(

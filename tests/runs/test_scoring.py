@@ -15,7 +15,7 @@ from xfreqbench.errors import ArgumentError
 def test_scores_are_those_of_a_run(dataset: PasDataset, tmp_path: Path) -> None:
     (record,) = xb.run(dataset, "mean-over-frequency", targets_ghz=[24.25], results=tmp_path)
     (split,) = xb.make_splits(dataset, "lofo", [24.25])
-    test = dataset.subset(split.test)
+    test = dataset[split.test]
     maps = xb.load_method(tmp_path, record).predict(test.tx_position_m, test.carrier_hz)
     scores = xb.score(maps, split, dataset)
     assert scores.keys() == record.scores.keys()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xfreqbench.data.plan import plan_generation
+from tests.support.plans import plan_generation
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.drawn_rooms import DrawnRoom, draw_room
 from xfreqbench.scene.families import family_schema, load_family
@@ -37,7 +37,7 @@ def require_valid(seed: int) -> None:
     """Plan a room as `generate` does, which checks that array and transmitters are in free space, and overlaps."""
     room = draw_room(FAMILY, seed)
     tx_position_m = room.transmitters(40)
-    plan = plan_generation(room.scene, [1e9, 94e9], TraceSettings(), tx_position_m=tx_position_m, maps=False)
+    plan = plan_generation(room.scene, [1e9, 94e9], TraceSettings(), tx_positions=tx_position_m, maps=False)
     assert plan.settings.solver == "image"
     for solid in room.solids:
         start_m, along_m = solid.outline_m, np.roll(solid.outline_m, -1, axis=0) - solid.outline_m

@@ -11,7 +11,7 @@ import trimesh
 
 from tests.support import mesh_scenes
 from tests.support.mesh_scenes import PLACES, WOOD, file_shape, scene_with, shape, to_world, write_meshes
-from xfreqbench.data.plan import plan_generation
+from tests.support.plans import plan_generation
 from xfreqbench.errors import PlacementError, SceneError, UnknownNameError
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, parse_scene
@@ -139,8 +139,8 @@ def test_who_stands_outside_of_everything_is_asked_about(tmp_path: Path) -> None
     grid = replace(scene.transmitters, min_m=(7.0, 3.0, 1.5), max_m=(8.0, 3.0, 1.5))
     for asked, tx_m in ((replace(scene, transmitters=grid), None), (scene, grid.lattice_m)):
         with pytest.raises(PlacementError, match=r"Every transmitter .* outside of all meshes"):
-            plan_generation(asked, [10e9], tx_position_m=tx_m)
-    some = plan_generation(scene, [10e9], tx_position_m=np.array([[7.0, 3.0, 1.5], [4.0, 3.0, 1.5]]), maps=False)
+            plan_generation(asked, [10e9], tx_positions=tx_m)
+    some = plan_generation(scene, [10e9], tx_positions=np.array([[7.0, 3.0, 1.5], [4.0, 3.0, 1.5]]), maps=False)
     assert some.summary.endswith("; 1 transmitters stand outside")
 
 

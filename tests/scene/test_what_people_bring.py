@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support.mesh_scenes import PLACES, WOOD, file_shape, scene_of_file, scene_with, write_meshes
-from xfreqbench.data.plan import plan_generation
+from tests.support.plans import plan_generation
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.materials import ConstantMaterial, Scattering
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes, write_mitsuba

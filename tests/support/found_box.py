@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from tests.support.plans import plan_generation
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import plan_generation
 from xfreqbench.scene.materials import ITU_MATERIALS
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
 from xfreqbench.tracing.tracer import TraceSettings

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from xfreqbench.data import batches
+from xfreqbench.data import batches, plan
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import Plan, plan_generation
+from xfreqbench.data.options import GenerateOptions
+from xfreqbench.data.plan import Plan
 from xfreqbench.data.writer import PasWriter, SampleBlock
-from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.scene.model import Scene
 from xfreqbench.tracing.tracer import TraceSettings
 
 SETTINGS = TraceSettings(interactions=("specular", "refraction"), rays=20_000, max_depth=3)
@@ -25,18 +27,23 @@ def small_plan(
     scene: str | Scene = "two_rooms",
     num_transmitters: int | None = 40,
     carriers_hz: Sequence[float] = CARRIERS_HZ,
-    **changes: object,
+    **changes: Any,
 ) -> Plan:
-    arguments = {"settings": SETTINGS, "num_transmitters": num_transmitters, **changes}
-    loaded = load_scene(scene) if isinstance(scene, str) else scene
-    return plan_generation(loaded, carriers_hz, **arguments)  # type: ignore[arg-type]
+    return plan_generation(scene, carriers_hz, **{"settings": SETTINGS, "tx": num_transmitters, **changes})
 
 
-def unfinished(plan: Plan, path: Path) -> Path:
+def plan_generation(
+    scene: str | Scene, carriers_hz: Sequence[float], settings: TraceSettings = TraceSettings(), **options: Any
+) -> Plan:
+    """The plan of a generation at carriers in hertz, with settings of rays in one object."""
+    return plan.plan_generation(scene, GenerateOptions([hz / 1e9 for hz in carriers_hz], **vars(settings) | options))
+
+
+def unfinished(asked: Plan, path: Path) -> Path:
     """The folder of batches as a process leaves it that is killed before it writes the data set."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(batches, "_remove", lambda folder: None)
-        generate_planned(plan, path).unlink()
+        generate_planned(asked, path).unlink()
     return batches.batch_folder(path)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tests.support.plans import plan_generation
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import plan_generation
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
 from xfreqbench.tracing.tracer import TraceSettings
 

@@ -23,10 +23,11 @@ from xfreqbench.baselines.nearest import Nearest
 
 from tests.support.forked import command_line
 from tests.support.places import ROOT
+from tests.support.plans import plan_generation
 from tests.support.synthetic import paper_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import Plan, plan_generation
+from xfreqbench.data.plan import Plan
 from xfreqbench.errors import ClusterError, StorageError
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.runs.records import RunRecord, read
@@ -148,7 +149,7 @@ def running(two_workers: Started) -> Started:
 
 def _plan(num_tx: int = 96) -> Plan:
     settings = TraceSettings(interactions=("specular", "refraction"), rays=20_000, max_depth=5)
-    return plan_generation(load_scene("two_rooms"), [1e9, 24.25e9], settings, num_transmitters=num_tx)
+    return plan_generation(load_scene("two_rooms"), [1e9, 24.25e9], settings, tx=num_tx)
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,6 @@ ANSWERED = {  # call: what is asked of its answer
     "iter(data)": "next(answer).map.shape == (90, 360)",
     "data.pas(0)": "answer.shape == (1, 90, 360)",
     "data.pas(np.int64(-1))": "(answer[0] == data[-1].map).all()",
-    "data.subset(3)": "answer.rows.tolist() == [3]",
     "data[[True] + [False] * 11]": "len(answer) == 1",
     "tracer.paths([2, 1, 1])": "len(answer.delay_s) > 0",
     "tracer.paths([[2, 1, 1]])": "len(answer.delay_s) > 0",
@@ -108,8 +107,6 @@ REFUSED = {  # call: what the error says
     "xb.AngularGrid(1, [0])": "elevation_rad is a list of angles, but got 1",
     "data.paths('a')": "sample='a'",
     "data.paths(1)": "holds no paths",
-    "data.batches('a')": "size='a'",
-    "data.batches(0)": "greater than 0",
 }
 INDEXED = (
     "data['pas']",

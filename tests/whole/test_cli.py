@@ -153,7 +153,8 @@ def test_options_have_the_names_of_python_and_their_older_ones() -> None:
         _, bound, _ = app.parse_args(f"run --data d.h5 --results r {word}", exit_on_error=False)
         assert bound.arguments.items() >= asked.items()
     for word in ("--freqs-ghz", "--freqs"):
-        assert app.parse_args(f"generate empty -o x.h5 {word} 2.4", exit_on_error=False)[1].arguments["freqs"] == "2.4"
+        _, bound, _ = app.parse_args(f"generate empty -o x.h5 {word} 2.4,5", exit_on_error=False)
+        assert bound.arguments["options"].freqs_ghz == [2.4, 5.0]
 
 
 @pytest.mark.parametrize("words", ["a b", "--results a --results b"])

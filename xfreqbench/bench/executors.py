@@ -15,6 +15,7 @@ import numpy as np
 from xfreqbench.bench.tables import Bench
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.options import GenerateOptions
 from xfreqbench.data.plan import BATCH, Plan, plan_generation
 from xfreqbench.data.splits import LOFO_TARGETS_GHZ
 from xfreqbench.errors import XFreqBenchError
@@ -24,13 +25,11 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import tasks_of
 from xfreqbench.runs.records import BenchFigure, BenchPoint
 from xfreqbench.runs.run import run_jobs
-from xfreqbench.scene.model import load_scene
 from xfreqbench.system.cluster import dask_workers, is_installed, local_cluster
 from xfreqbench.system.processes import SERIAL, open_workers
 from xfreqbench.system.workers import Workers, side_by_side
 from xfreqbench.tracing.tracer import Channel
 from xfreqbench.tracing.versions import software_versions
-from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 SCENE = "office"
 NUM_WORKERS = 2
@@ -51,8 +50,7 @@ def bench_scale_out(bench: Bench, num_tx: int) -> None:
 
 def office_plan(num_tx: int) -> Plan:
     """The generation that is measured: the office at the defaults and the paper's carriers."""
-    carrier_hz = [ghz_to_hz(carrier_ghz) for carrier_ghz in PAPER_CARRIERS_GHZ]
-    return plan_generation(load_scene(SCENE), carrier_hz, num_transmitters=num_tx)
+    return plan_generation(SCENE, GenerateOptions(tx=num_tx))
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from xfreqbench.data.fingerprint import read_fingerprint
+from xfreqbench.data.options import GenerateOptions
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.data.recipe import Recipe
 from xfreqbench.data.trace import traced
@@ -19,7 +20,6 @@ from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
 from xfreqbench.system.files import atomic_path, require_own, storage_errors
-from xfreqbench.tracing.solvers import interactions_named
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, ProgressCallback
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
@@ -39,8 +39,9 @@ def make_fingerprint(
     else, `StorageError`, and as `plan_generation` does.
     """
     carriers_hz = [ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ]
-    settings = TraceSettings(interactions=interactions_named(interactions))
-    plan = plan_generation(scene, carriers_hz, settings, tx_position_m=_chosen(scene, min(carriers_hz)))
+    names = None if interactions is None else tuple(interactions)
+    options = GenerateOptions(interactions=names, tx_positions=_chosen(scene, min(carriers_hz)))
+    plan = plan_generation(scene, options)
     header = plan.header
     recipe = Recipe.of_scene(plan.scene, plan.settings, header, plan.tx_position_m, AngularGrid.hemisphere())
 

@@ -11,7 +11,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from jaxtyping import Complex
 from xfreqbench.bench.reference import REFERENCE_SETTINGS, Reference, read_reference
 from xfreqbench.bench.tables import REPEATS, Bench
 from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.options import GenerateOptions
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.maps.bartlett import BartlettBeam
@@ -33,7 +34,7 @@ from xfreqbench.tracing.solvers import resolve_solver, tracer_of
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, Interaction, SolverName, TraceSettings
 from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import NDArray
-from xfreqbench.units import PAPER_CARRIERS_GHZ, format_ghz, ghz_to_hz
+from xfreqbench.units import PAPER_CARRIERS_GHZ, format_ghz
 
 SOLVERS: tuple[SolverName, ...] = ("image", "sionna")
 MEDIAN_BAR_DB, FIFTH_PERCENTILE_BAR_DB = 40.0, 30.0
@@ -228,16 +229,16 @@ def measure_pipeline(
     scene: Scene, settings: TraceSettings, num_tx: int | None, carriers_ghz: Sequence[float] = PAPER_CARRIERS_GHZ
 ) -> PipelineCost:
     """Generate a data set with maps in a temporary folder and measure everything except compilation."""
-    carriers = [ghz_to_hz(carrier) for carrier in carriers_ghz]
+    options = GenerateOptions(carriers_ghz, **asdict(settings))
     with tempfile.TemporaryDirectory() as folder:
-        generate_planned(plan_generation(scene, carriers, settings, num_transmitters=1), Path(folder) / "first.h5")
+        generate_planned(plan_generation(scene, replace(options, tx=1)), Path(folder) / "first.h5")
         reset_peak_memory()
         start = time.perf_counter()
-        plan = plan_generation(scene, carriers, settings, num_transmitters=num_tx)
+        plan = plan_generation(scene, replace(options, tx=num_tx))
         plan_s = time.perf_counter() - start
         generate_planned(plan, Path(folder) / "timed.h5")
         seconds = time.perf_counter() - start
-    return PipelineCost(len(plan.tx_position_m), len(carriers), seconds, peak_memory_mib(), plan_s)
+    return PipelineCost(len(plan.tx_position_m), len(carriers_ghz), seconds, peak_memory_mib(), plan_s)
 
 
 def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> None:

@@ -2,39 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from xfreqbench.cli.options import (
     DATA,
-    Executor,
+    Flag,
     Freqs,
-    Interactions,
+    Hidden,
     Output,
     Quiet,
     app,
     example,
-    parse_carriers_ghz,
     parse_carriers_hz,
-    parse_names,
     say,
     say_written,
+    with_help,
 )
+from xfreqbench.data.dataset import links
+from xfreqbench.data.options import GenerateOptions
 from xfreqbench.errors import XFreqBenchError
-
-if TYPE_CHECKING:
-    from xfreqbench.tracing.tracer import TraceSettings
-
-Solver = Annotated[
-    Literal["auto", "image", "sionna"],
-    Parameter(
-        help="image: the exact image method, for up to 1,000 mirrors; sionna: Sionna RT, for every scene; auto: image "
-        "where it can trace the scene, else sionna."
-    ),
-]
+from xfreqbench.units import PAPER_CARRIERS_GHZ
 
 
 @app.command(group=DATA, help_epilogue=example("scenes office --toml"))
@@ -70,71 +62,24 @@ def scenes(
         print(f"{shipped:12} {description}")
 
 
+@with_help
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GenerateArguments(GenerateOptions):
+    """The options of `generate` as a command line gives them."""
+
+    freqs_ghz: Freqs = PAPER_CARRIERS_GHZ
+    tx_positions: Path | None = None  # type: ignore[assignment]
+    paths: Flag = False
+    progress: Hidden = "auto"
+    tell: Hidden = None
+
+
 @app.command(group=DATA, help_epilogue=example("generate office --freqs 2.4,10,24.25 --tx 24 -o office.h5"))
 def generate(
     scene: str = "office",
     *,
     output: Output,
-    freqs: Freqs = "paper",
-    rooms: Annotated[
-        int | None, Parameter(help="Of a family: how many rooms to draw, by seeds from --seed on; -o is a folder.")
-    ] = None,
-    tx: Annotated[
-        int | None,
-        Parameter(help="Number of transmitters, chosen by the seed; all of a scene, or 120 in a room, if absent."),
-    ] = None,
-    tx_positions: Annotated[
-        Path | None,
-        Parameter(
-            help="Instead of the scene's grid, if it has one: a CSV of x,y,z in metres, one transmitter a line, its "
-            "columns three or named in the first line; or a data set (.h5), whose transmitters are taken."
-        ),
-    ] = None,
-    solver: Solver = "auto",
-    interactions: Interactions = None,
-    rays: Annotated[
-        int | None,
-        Parameter(
-            help="Rays that look for paths, 10,000,000 at most; if absent 500,000, or 50,000 in each room of a family."
-        ),
-    ] = None,
-    max_depth: Annotated[
-        int | None,
-        Parameter(
-            help="Most interactions of a path, reflections and transmissions together; up to 16. If absent 6, or 4 in "
-            "each room of a family."
-        ),
-    ] = None,
-    seed: Annotated[
-        int, Parameter(help="Seed of the rays and of the choice of transmitters, or of the first room.")
-    ] = 1,
-    pas_kind: Annotated[str, Parameter(help="What maps show: power, amplitude (its root) or phase-only.")] = "power",
-    materials: Annotated[
-        Literal["error", "extrapolate"], Parameter(help="What to do outside a material's P.2040 band.")
-    ] = "error",
-    maps: Annotated[
-        bool | None,
-        Parameter(help="Store the maps beside the channels they derive from. If absent: of a scene, not of rooms."),
-    ] = None,
-    paths: Annotated[
-        bool,
-        Parameter(negative="", help="Store the paths: gains, delays, directions, and what surfaces they meet where."),
-    ] = False,
-    receiver: Annotated[
-        str | None,
-        Parameter(
-            help="Receivers of a scene with several, comma-separated, or `all`: one file holds them; the first if "
-            "absent."
-        ),
-    ] = None,
-    polarization: Annotated[
-        str | None,
-        Parameter(
-            help="V or H, for transmitters and receivers; V,H: all four pairs, VV, VH (sent in V, heard in H), HV and "
-            "HH, in one file; or some of these pairs. As the scene says if absent."
-        ),
-    ] = None,
-    executor: Executor = "serial",
+    options: Annotated[GenerateArguments, Parameter(name="*")] = GenerateArguments(),
     dry_run: Annotated[
         bool, Parameter(negative="", help="Print counts, size and a time estimate; write nothing.")
     ] = False,
@@ -147,106 +92,43 @@ def generate(
     scene
         A shipped scene's name, or the path of a scene TOML; with --rooms, a family's name or path.
     """
-    from xfreqbench.data import generate as generation
+    from xfreqbench.data import generate as of_scenes
+    from xfreqbench.data import rooms as of_rooms
     from xfreqbench.data.fingerprint import compare_fingerprint
-    from xfreqbench.data.rooms import MAX_DEPTH, RAYS
+    from xfreqbench.data.plan import plan_generation
     from xfreqbench.system.processes import require_executor
-    from xfreqbench.tracing.solvers import interactions_named
-    from xfreqbench.tracing.tracer import TraceSettings
 
-    require_executor(executor)
-    freqs_ghz, names = parse_carriers_ghz(freqs), parse_names(interactions)
-    limits: dict[str, Any] = {
-        name: value for name, value in (("rays", rays), ("max_depth", max_depth)) if value is not None
-    }
-    if rooms is not None:
-        if tx_positions is not None or receiver is not None:
+    require_executor(options.executor)
+    asked: dict[str, Any] = vars(options) | {"tx_positions": _read_positions(options.tx_positions)}
+    asked |= {"progress": not quiet, "tell": partial(say, quiet=quiet)}
+    if options.rooms is not None:
+        if asked.pop("tx_positions") is not None or asked.pop("receiver") is not None:
             raise XFreqBenchError(
                 "With --rooms the family draws transmitters and array: leave out --tx-positions and --receiver."
             )
-        limits = {"rays": RAYS, "max_depth": MAX_DEPTH} | limits
-        _generate_rooms(
-            scene,
-            output,
-            freqs_ghz,
-            TraceSettings(solver, interactions_named(names), materials=materials, **limits),
-            dry_run,
-            quiet,
-            executor,
-            rooms=rooms,
-            seed=seed,
-            tx=120 if tx is None else tx,
-            pas_kind=pas_kind,
-            maps=bool(maps),
-            paths=paths,
-            polarization=parse_names(polarization),
-        )
-        return
-    chosen = {
-        "tx": tx,
-        "tx_positions": _read_positions(tx_positions),
-        "pas_kind": pas_kind,
-        "maps": maps is not False,
-        "paths": paths,
-        "receiver": parse_names(receiver),
-        "polarization": parse_names(polarization),
-    }
-    if dry_run:
-        settings = TraceSettings(solver, interactions_named(names), seed=seed, materials=materials, **limits)
-        plan = generation.plan_of(scene, freqs_ghz, settings, **chosen)
-        seconds = generation.estimate_seconds(plan)
-        print(f"{plan.summary}\nestimated time {seconds:.0f} s on this machine; nothing was written")
-        return
-    is_new = not output.exists()
-    dataset = generation.generate(
-        scene,
-        output,
-        freqs_ghz,
-        **chosen,
-        solver=solver,
-        interactions=names,
-        seed=seed,
-        materials=materials,
-        executor=executor,
-        progress=not quiet,
-        tell=partial(say, quiet=quiet),
-        **limits,
-    )
-    say_written(output, is_new, quiet)
-    say(compare_fingerprint(dataset).verdict, quiet)
-
-
-def _generate_rooms(
-    family: str,
-    output: Path,
-    freqs_ghz: list[float],
-    settings: TraceSettings,
-    dry_run: bool,
-    quiet: bool,
-    executor: str,
-    **asked: Any,
-) -> None:
-    """Make a collection of rooms, or say what it would take."""
-    from xfreqbench.data import rooms as generation
-    from xfreqbench.system.bars import progress_bars
-    from xfreqbench.system.processes import open_workers
-
-    plan = generation.plan_of_rooms(family, freqs_ghz, settings, **asked)
-    if dry_run:
-        seconds, num_bytes = generation.estimate_rooms(plan)
+        if not dry_run:
+            say(f"{of_rooms.generate_rooms(scene, output, **asked)!r}\nwrote {output}", quiet)
+            return
+        rooms = of_rooms.plan_rooms(scene, GenerateOptions(**asked))
+        seconds, num_bytes = of_rooms.estimate_rooms(rooms)
         print(
-            f"{asked['rooms']:,} rooms of {plan.family.name!r} × {plan.tx} transmitters × {len(freqs_ghz)} carriers, "
-            f"about {num_bytes / 1e6:,.0f} MB in as many files\nestimated time {seconds:,.0f} s of one core, "
-            f"{seconds / asked['rooms']:.2f} s a room; nothing was written"
+            f"{options.rooms:,} rooms of {rooms.family.name!r} × {rooms.options.tx} transmitters × "
+            f"{len(rooms.carrier_hz)} carriers, about {num_bytes / 1e6:,.0f} MB in as many files\n"
+            f"estimated time {seconds:,.0f} s of one core, {seconds / options.rooms:.2f} s a room; nothing was written"
         )
-        return
-    with open_workers(executor) as workers, progress_bars("rooms", ["tracing"], quiet) as (report,):
-        told = partial(say, quiet=quiet)
-        collection = generation.generate_planned_rooms(plan, output, workers, report, told)
-    say(f"{collection!r}\nwrote {output}", quiet)
+    elif dry_run:
+        plan = plan_generation(scene, GenerateOptions(**asked))
+        seconds = of_scenes.estimate_seconds(plan)
+        print(f"{plan.summary}\nestimated time {seconds:.0f} s on this machine; nothing was written")
+    else:
+        del asked["rooms"]
+        is_new = not output.exists()
+        dataset = of_scenes.generate(scene, output, **asked)
+        say_written(output, is_new, quiet)
+        say(compare_fingerprint(dataset).verdict, quiet)
 
 
-def _read_positions(path: Path | None) -> Any:
+def _read_positions(path: Any) -> Any:
     """Positions (T, 3) in metres from a CSV file or a data set; None without a file. Raises `XFreqBenchError`."""
     if path is None:
         return None
@@ -307,9 +189,9 @@ def info(
     print("every hash holds")
     dataset = open_dataset(file)
     say(compare_fingerprint(dataset).verdict)
-    for link in dataset.links() if retrace else ():
+    for link in links(dataset) if retrace else ():
         worst = require_origin(link, drawn_rows(link, retrace, seed))
-        of = "".join(f" of {name}" for name in link.link_names if name)
+        of = "".join(f" of {name}" for name in link.link if name)
         print(f"{min(retrace, len(link))} samples{of} traced again: {worst}, the others by less")
     if glints:
         from xfreqbench.data.glints import glints as left_out

@@ -196,7 +196,7 @@ def export(
             from xfreqbench.exchange.path_arrays import export_sionna_npz
 
             dataset = (export_deepmimo if to == "deepmimo" else export_sionna_npz)(data, output, progress)
-            what = f" (paths of {dataset.header.num_tx} transmitters at {dataset.num_carriers} carriers)"
+            what = f" (paths of {dataset.header.num_tx} transmitters at {dataset.header.num_carriers} carriers)"
     say(f"wrote {output}{what}", quiet)
 
 

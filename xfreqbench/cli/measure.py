@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import (
-    FREQS,
-    Interactions,
-    Output,
-    Quiet,
-    bench,
-    example,
-    parse_carriers_hz,
-    parse_names,
-    parse_whole_numbers,
-    say,
-)
+from xfreqbench.cli.options import FREQS, Output, Quiet, bench, example, parse_carriers_hz, parse_whole_numbers, say
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 
 BenchOutput = Annotated[
@@ -210,7 +200,17 @@ def bench_reference(scene: str = "office", *, output: Output | None = None, quie
 
 @bench.command(name="fingerprint", help_epilogue=example("bench fingerprint office -o office_fingerprint.npz"))
 def bench_fingerprint(
-    scene: str = "office", *, output: Output, interactions: Interactions = None, quiet: Quiet = False
+    scene: str = "office",
+    *,
+    output: Output,
+    interactions: Annotated[
+        Sequence[str] | None,
+        Parameter(
+            help="Comma-separated, of: specular, refraction, diffraction, diffuse. If absent: the first three where "
+            "solver image traces them, else the first two."
+        ),
+    ] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Trace the fingerprint of a scene: the channels with which `info` and `run` compare data sets of it.
 
@@ -227,5 +227,5 @@ def bench_fingerprint(
 
     is_new = not output.exists()
     with progress_bars("transmitters", [f"fingerprint of {scene}"], quiet) as (progress,):
-        make_fingerprint(load_scene(scene), output, progress, parse_names(interactions))
+        make_fingerprint(load_scene(scene), output, progress, interactions)
     say(f"wrote {output}" if is_new else f"{output} already holds this fingerprint", quiet)

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_type_hints
 
 import cyclopts
 from cyclopts import App, CycloptsError, CycloptsPanel, Group, MissingArgumentError, Parameter, UnusedCliTokensError
+from typing_extensions import Doc
 
 from xfreqbench.errors import XFreqBenchError
+from xfreqbench.system.arguments import CarriersGhz
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz, parse_number
 
 if TYPE_CHECKING:
@@ -40,9 +45,19 @@ def _refusal(error: CycloptsError) -> RichGroup:
 
 
 def _typed(kind: Any, tokens: Any) -> Any:
-    """The values of an option; its numbers are those of `parse_number`, not all that Cyclopts takes, as 1_0 or 1.5."""
+    """The values of an option; its numbers are those of `parse_number`, not all that Cyclopts takes, as 1_0 or 1.5.
+
+    Names of a `Sequence` have commas between them.
+    """
     convert = cyclopts.convert
+    if Sequence[str] in (kind, *get_args(kind)):
+        return [name for name in map(str.strip, _joined(tokens).split(",")) if name]
     return convert(kind, tokens, lambda of, text: parse_number(text, of) if of in (int, float) else convert(of, [text]))
+
+
+def _joined(tokens: Any) -> str:
+    """The text of an option, with commas between what was given one after the other."""
+    return ",".join(token.value for token in tokens)
 
 
 app = App(
@@ -71,13 +86,18 @@ app.register_install_completion_command(
 
 FREQS, TARGETS, SEEDS = ("--freqs-ghz", "--freqs"), ("--targets-ghz", "--targets"), ("--seeds", "--seed")
 Freqs = Annotated[
-    str, Parameter(name=FREQS, help="Carriers in GHz, comma-separated, as in 1,2.4,24.25; or `paper`: the paper's ten.")
+    CarriersGhz,
+    Parameter(
+        name=FREQS,
+        help="Carriers in GHz, comma-separated, as in 1,2.4,24.25; or `paper`: the paper's ten.",
+        converter=lambda kind, tokens: parse_carriers_ghz(_joined(tokens)),
+        show_default=lambda default: "paper",
+    ),
 ]
+Flag = Annotated[bool, Parameter(negative="")]
+Hidden = Annotated[Any, Parameter(parse=False)]
 Quiet = Annotated[bool, Parameter(name=["--quiet", "-q"], negative="", help="Print errors only.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write.")]
-Executor = Annotated[
-    str, Parameter(help="serial: in this process; 4: as many processes here; dask://host:8786: workers of a cluster.")
-]
 ScoredOnOption = Annotated[
     Literal["test", "validation"],
     Parameter(
@@ -93,18 +113,15 @@ def example(words: str) -> str:
     return f"Example: xfreqbench {words}"
 
 
-Interactions = Annotated[
-    str | None,
-    Parameter(
-        help="Comma-separated, of: specular, refraction, diffraction, diffuse. If absent: the first three where solver "
-        "image traces them, else the first two."
-    ),
-]
-
-
-def parse_names(text: str | None) -> list[str] | None:
-    """Names from text such as `specular,refraction`, or None for the default."""
-    return None if text is None else [name for name in map(str.strip, text.split(",")) if name]
+def with_help(options: Any) -> Any:
+    """The dataclass of a command's options, with the `Doc` of each field of its base as the help of the option."""
+    hints = get_type_hints(options.__base__, include_extras=True)
+    for each in fields(options):
+        docs = [part.documentation for part in get_args(hints[each.name])[1:] if isinstance(part, Doc)]
+        each.metadata = MappingProxyType({"help": docs[0]})
+    # Cyclopts would look for the names of the base's types in the module of this class.
+    options.__init__.__annotations__ = get_type_hints(options, include_extras=True)
+    return options
 
 
 def as_typed(names: tuple[str, ...]) -> str:

@@ -7,7 +7,7 @@ published as maps alone has no channels, and is read in the same way.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
@@ -20,19 +20,10 @@ from typing import Any, NamedTuple, overload
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
-from pydantic import FiniteFloat, PositiveFloat, PositiveInt, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from xfreqbench.data import hdf5
-from xfreqbench.data.paths import (
-    GROUP,
-    OFFSET,
-    ImpulseResponse,
-    SamplePaths,
-    path_variables,
-    read_paths,
-    stored_offsets,
-    stored_totals,
-)
+from xfreqbench.data.paths import GROUP, OFFSET, SamplePaths, path_variables, read_paths, stored_offsets, stored_totals
 from xfreqbench.data.recipe import OF_CONTENT, Recipe, job_differences, job_of
 from xfreqbench.data.rows import Rows, chosen_rows
 from xfreqbench.data.schema import CARRIER, SCHEMA, TX, DatasetHeader, constants, variables
@@ -40,7 +31,6 @@ from xfreqbench.errors import DataError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import FAR_M, Scene
-from xfreqbench.scene.patches import components
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import json_sha256, require_own
 from xfreqbench.system.remote import located
@@ -68,13 +58,16 @@ class PasDataset:
     `dataset[7]` is a `Sample`, and so is what iteration yields; a slice, whole numbers or a mask give a subset,
     which is a `PasDataset` too. `rows` are the numbers of the samples in the whole data set: a sample's row is
     tx_index · F + carrier index, where F is the number of carriers. Maps stay on disk until they are asked for, or
-    are derived from the channels where none are stored. A data set is pickled as its path and rows, and `is_isolated`
-    after `isolated`.
+    are derived from the channels where none are stored. `tables` hold what is small, of all transmitters and carriers:
+    `tables["peak_power"].flat[rows]` is the peak power that each map was divided by, 0 where no path arrives and 1
+    where it is not known; `num_paths`, likewise, is −1 where it is not known; and `tables["line_of_sight"][tx_index]`
+    says whether nothing stands between a transmitter and the array centre. A data set is pickled as its path and rows.
 
     A file may hold several links, one for each receiver and pair of polarizations: a data set shows one of them, with
     its header as it is in a file of its own, and a `sha256` of its own. `file_header` tells of all links, and `link`
-    has the numbers of the receiver and of the pair that are shown; see `at` and `links`. `other_receivers` is what a
-    method may learn from where it is asked for a receiver that it has heard nothing of (protocol `held-out-receiver`).
+    names the receiver and the pair that are shown, None where the file holds one alone; see `at` and `links`.
+    `other_receivers` is what a method may learn from where it is asked for a receiver that it has heard nothing of
+    (protocol `held-out-receiver`).
     """
 
     path: Path
@@ -84,9 +77,9 @@ class PasDataset:
     tables: Mapping[str, NDArray[Any]]
     rows: Int[IntArray, "N"]
     file_header: DatasetHeader
-    link: tuple[int, int] = (0, 0)
-    is_isolated: bool = False
+    link: tuple[str | None, str | None] = (None, None)
     other_receivers: tuple[PasDataset, ...] = ()
+    _is_isolated: bool = False
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -100,13 +93,14 @@ class PasDataset:
     def __getitem__(self, rows: int | np.integer | Rows) -> Sample | PasDataset:
         """A sample by its number (negative ones count from the end), or a subset; raises `IndexError`."""
         if not isinstance(rows, int | np.integer):
-            return self.subset(rows)
-        one = self.subset([int(rows)])
+            return replace(self, rows=self.rows[chosen_rows(rows, len(self))])
+        one = self[[int(rows)]]
         return Sample(one.pas()[0], one.tx_position_m[0], float(one.carrier_hz[0]))
 
     def __iter__(self) -> Iterator[Sample]:
-        for rows, maps in self.batches(64):
-            yield from map(Sample, maps, self.tx_position_m[rows], self.carrier_hz[rows].tolist())
+        for start in range(0, len(self), 64):
+            part = self[start : start + 64]
+            yield from map(Sample, part.pas(), part.tx_position_m, part.carrier_hz.tolist())
 
     def __repr__(self) -> str:
         facts = [f"{name:9} {fact}" for name, fact in self._facts().items()]
@@ -119,17 +113,17 @@ class PasDataset:
         return f"<table>{''.join(rows)}</table>"
 
     def _facts(self) -> dict[str, str]:
-        header, num_samples = self.header, self.header.num_tx * self.num_carriers
+        header, num_samples = self.header, self.header.num_tx * self.header.num_carriers
         carriers_hz = header.carrier_hz.tolist()
         shown = carriers_hz if len(carriers_hz) <= _SHOWN_CARRIERS else carriers_hz[:_SHOWN_CARRIERS]
         more = f" and {len(carriers_hz) - len(shown)} more" if len(shown) < len(carriers_hz) else ""
         elements = f"{header.receiver.num_elements} elements" if header.channels else "none"
         subset = {} if len(self) == num_samples else {"subset": f"{len(self)} of the {num_samples} samples"}
-        axes = zip(("receiver", "sent, heard"), self.link_names, (self.receivers, self.polarizations), strict=True)
+        axes = zip(("receiver", "sent, heard"), self.link, self.file_header.link_names, strict=True)
         links = {kind: f"{name}, of {', '.join(names)}" for kind, name, names in axes if names}
         return {
             **links,
-            "scene": f"{header.scene_name!r}, {header.num_tx} transmitters × {self.num_carriers} carriers",
+            "scene": f"{header.scene_name!r}, {header.num_tx} transmitters × {header.num_carriers} carriers",
             "carriers": format_ghz_list(shown) + more,
             "maps": f"{header.pas_kind}, {self.grid.shape[0]} elevations × {self.grid.shape[1]} azimuths",
             "channels": elements,
@@ -137,17 +131,7 @@ class PasDataset:
         }
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return reopen, (str(self.path), self.sha256, self.rows, self.is_isolated, self.other_receivers)
-
-    @property
-    def receivers(self) -> tuple[str, ...]:
-        """Names of the receivers in the file; empty where it holds one alone."""
-        return self.file_header.receivers
-
-    @property
-    def polarizations(self) -> tuple[str, ...]:
-        """Pairs of polarizations in the file, as `VH`: sent in V and heard in H; empty where it holds one alone."""
-        return self.file_header.polarizations
+        return reopen, (str(self.path), self.sha256, self.rows, self.other_receivers, self._is_isolated)
 
     @checked
     def at(self, receiver: str | None = None, polarization: str | None = None) -> PasDataset:
@@ -155,28 +139,16 @@ class PasDataset:
 
         Raises `UnknownNameError`, and `DataError` for what a method is given to train on, which is one link alone.
         """
-        if self.is_isolated:
+        if self._is_isolated:
             raise DataError(f"{self.path} is shown to methods with one receiver and one polarization.")
-        shown = self.link_names
-        return open_dataset(self.path, receiver or shown[0], polarization or shown[1]).subset(self.rows)
-
-    def links(self) -> Iterator[PasDataset]:
-        """The same samples of each link of the file: all polarizations of the first receiver, then of the next."""
-        for receiver, polarization in product(self.receivers or (None,), self.polarizations or (None,)):
-            yield self.at(receiver, polarization) if self.file_header.link_axes else self
-
-    @property
-    def link_names(self) -> tuple[str | None, str | None]:
-        """The receiver and the pair of polarizations that are shown; None where the file holds one alone."""
-        receiver, pair = self.link
-        return (*self.receivers, None)[receiver], (*self.polarizations, None)[pair]
+        return open_dataset(self.path, receiver or self.link[0], polarization or self.link[1])[self.rows]
 
     @cached_property
     def sha256(self) -> str:
         """Hash of the file's content; in a file of several links, of that and of which one is shown."""
         if not self.file_header.link_axes:
             return self.file_sha256
-        return json_sha256([self.file_sha256, *self.link])
+        return json_sha256([self.file_sha256, *self.file_header.link(*self.link)])
 
     @property
     def grid(self) -> AngularGrid:
@@ -205,10 +177,10 @@ class PasDataset:
     def trace_settings(self) -> TraceSettings:
         """What was asked of the rays; raises `DataError` where not all of it is stored."""
         try:
-            stated = {field.name: self.header.settings[field.name] for field in fields(TraceSettings)}
-            return TypeAdapter(TraceSettings).validate_python(stated)
+            stored = {field.name: self.header.settings[field.name] for field in fields(TraceSettings)}
+            return TypeAdapter(TraceSettings).validate_python(stored)
         except (KeyError, ValidationError) as error:
-            raise DataError(f"{self.path} does not say how it was traced. Generate it anew.") from error
+            raise DataError(f"{self.path} does not say how it was traced. Generate it again.") from error
 
     @cached_property
     def recipe(self) -> Recipe:
@@ -220,26 +192,10 @@ class PasDataset:
                 return Recipe(self.header.scene_name, OF_CONTENT, hdf5.values_sha256(file))
         return Recipe.of_scene(*how, self.header, self.tables["tx_position_m"], self.grid)
 
-    @property
-    def num_carriers(self) -> int:
-        """Number of carriers F of the whole data set."""
-        return len(self.header.carrier_hz)
-
     @cached_property
     def tx_index(self) -> Int[IntArray, "N"]:
         """Index of each sample's transmitter in the whole data set."""
-        return self.rows // self.num_carriers
-
-    @cached_property
-    def place_index(self) -> Int[IntArray, "N"]:
-        """Index of the first transmitter at each sample's place: those within a millimetre of each other have one."""
-        from scipy.spatial import KDTree
-
-        position_m, of_tx = np.unique(self.tables["tx_position_m"], axis=0, return_inverse=True)
-        near = KDTree(position_m).query_pairs(1e-3, output_type="ndarray")
-        place_of_tx = components(near[:, 0], near[:, 1], len(position_m))[of_tx.ravel()]
-        _, first, place = np.unique(place_of_tx, return_index=True, return_inverse=True)
-        return first[place][self.tx_index]
+        return self.rows // self.header.num_carriers
 
     @cached_property
     def tx_position_m(self) -> Float[FloatArray, "N 3"]:
@@ -249,87 +205,37 @@ class PasDataset:
     @cached_property
     def carrier_hz(self) -> Float[FloatArray, "N"]:
         """Carrier of each sample in hertz."""
-        return self.header.carrier_hz[self.rows % self.num_carriers]
-
-    @cached_property
-    def line_of_sight(self) -> Bool[NDArray[np.bool_], "N"]:
-        """Whether nothing stands between the transmitter of each sample and the array centre."""
-        return self.tables["line_of_sight"][self.tx_index].astype(bool)
-
-    @cached_property
-    def peak_power(self) -> Float[FloatArray, "N"]:
-        """Peak power that each map was divided by; 0 where no path arrives, and 1 where it is not known."""
-        return self._samples("peak_power")
+        return self.header.carrier_hz[self.rows % self.header.num_carriers]
 
     @cached_property
     def has_path(self) -> Bool[NDArray[np.bool_], "N"]:
         """Whether any path arrives; without one the map is all zeros, and is neither trained on nor tested."""
-        return self.peak_power > 0
-
-    @cached_property
-    def num_paths(self) -> Int[NDArray[np.int32], "N"]:
-        """Number of paths that reach at least one element; −1 where it is not known."""
-        return self._samples("num_paths")
+        return np.asarray(self.tables["peak_power"].flat[self.rows] > 0)
 
     @cached_property
     def cfr(self) -> Complex[NDArray[np.complex64], "N M"]:
         """Channel of each sample at the array's elements (Eq. 1); raises `DataError` for a data set of maps alone."""
         if not self.header.channels:
             raise DataError(f"{self.path} holds maps alone, no channels. Use `pas`, or a data set that was generated.")
-        return self._samples("cfr")
-
-    @cached_property
-    def power_db(self) -> Float[FloatArray, "N"]:
-        """Received over transmitted power of each sample in dB: the mean of `|h|²` over the array's elements.
-
-        It is −inf where no path arrives. Raises as `cfr` does.
-        """
-        return _in_db(np.mean(np.abs(self.cfr.astype(np.complex128)) ** 2, axis=1))
-
-    @checked
-    def received_power_dbm(self, transmit_power_dbm: FiniteFloat | None = None) -> Float[FloatArray, "N"]:
-        """Received power of each sample in dBm: `power_db` and the power that each transmitter has.
-
-        Without a number it is `power_dbm` in the `[transmitters]` of the scene. Raises `DataError` where the scene
-        states none, and as `power_db` does.
-        """
-        if transmit_power_dbm is None and (transmitters := self.scene.transmitters):
-            transmit_power_dbm = transmitters.power_dbm
-        if transmit_power_dbm is None:
-            raise DataError(
-                f"The scene of {self.path} states no transmit power. Give it, as in received_power_dbm(20.0), or "
-                "write power_dbm = 20.0 into the [transmitters] of the scene."
-            )
-        return self.power_db + transmit_power_dbm
-
-    @checked
-    def local_mean_db(self, radius_wavelengths: PositiveFloat = 1.0) -> Float[FloatArray, "N"]:
-        """The power at the array centre in dB, averaged over where a transmitter stands, of each sample.
-
-        It is the mean over a horizontal disc about the transmitter, by its paths as plane waves; with `math.inf` it is
-        the sum of the powers of the paths. It is −inf where no path arrives. Raises as `paths` does.
-        """
-        tx, place = np.unique(self.tx_index, return_inverse=True)
-        power = self.stored_paths()[0].mean_power(self.header.carrier_hz, tx, radius_wavelengths)
-        return _in_db(power[place, self.rows % self.num_carriers])
+        return self.tables["cfr"].reshape(-1, self.header.receiver.num_elements)[self.rows]
 
     def pas(self, rows: Rows | int = slice(None)) -> Float[NDArray[np.float32], "n E A"]:
         """Maps of some samples, with peak 1; one number gives (1, E, A). Raises `DataError` and `IndexError`.
 
-        A map takes 130 kB of memory: see `batches`. Above a gigabyte it warns.
+        A map takes 130 kB of memory. Above a gigabyte it warns.
         """
         rows = chosen_rows(rows, len(self))
         num_bytes = len(self.rows[rows]) * 4 * prod(self.grid.shape)
         if num_bytes > _WARNED_BYTES:
             warnings.warn(
                 f"pas() reads {len(self.rows[rows])} maps of {self.path}, {num_bytes / 1e9:.1f} GB. pas(rows) reads "
-                "some of them, as in pas([0, 7]) or pas(slice(0, None, 5)), and batches(64) one part after the other.",
+                "some of them, as in pas([0, 7]) or pas(slice(0, 64)), and a loop over the data set one by one.",
                 stacklevel=2,
             )
         if not self.header.maps:
             return self.beam.maps(self.cfr[rows], self.header.pas_kind)[0]
         asked = self.rows[rows]
-        tx, carrier = np.divmod(asked, self.num_carriers)
+        tx, carrier = np.divmod(asked, self.header.num_carriers)
         maps = np.empty((len(asked), *self.grid.shape), np.float32)
         # what follows one another of a transmitter's carriers is read at once
         starts = np.flatnonzero((np.diff(asked, prepend=-2) != 1) | (carrier == 0)).tolist()
@@ -354,72 +260,50 @@ class PasDataset:
 
         Raises `IndexError`, and `DataError` where no paths are stored, as without `generate --paths`, or are damaged.
         """
-        (row,) = self.subset(sample).rows
-        tx, carrier = divmod(int(row), self.num_carriers)
-        self._require_paths()
-        with self._file() as file, hdf5.read_errors(self.path, f"group {GROUP!r}"):
-            totals = stored_totals(file)
-            first = tx * max(1, len(self.receivers)) + self.link[0]
-            stored = self._of_link(read_paths(file, totals, self.tables[OFFSET][first : first + 2]))
-            return SamplePaths.of(stored, carrier, float(self.header.carrier_hz[carrier]), totals.surface_names)
+        tx, carrier = divmod(int(self[[sample]].rows[0]), self.header.num_carriers)
+        first = tx * max(1, len(self.file_header.receivers)) + self.file_header.link(*self.link)[0]
+        stored, surface_names = self._paths(slice(first, first + 2))
+        return SamplePaths.of(stored, carrier, self.header, surface_names)
 
-    def stored_paths(self) -> tuple[RaggedPaths, tuple[str, ...]]:
-        """All paths of the whole data set, one behind the other, and the surfaces' names; raises as `paths` does."""
-        self._require_paths()
-        with self._file() as file, hdf5.read_errors(self.path, f"group {GROUP!r}"):
-            totals = stored_totals(file)
-            of_all = read_paths(file, totals, self.tables[OFFSET])
-            return self._of_link(of_all.every(max(1, len(self.receivers)), self.link[0])), totals.surface_names
-
-    def _of_link(self, paths: RaggedPaths) -> RaggedPaths:
-        """Paths of one receiver with the gains of one pair of polarizations."""
-        return replace(paths, gain=paths.gain[:, self.link[1]]) if self.polarizations else paths
-
-    def _require_paths(self) -> None:
+    def _paths(self, offsets: slice) -> tuple[RaggedPaths, tuple[str, ...]]:
+        """Paths of some of the file's transmitters and receivers, one behind the other, and all surfaces' names."""
         if OFFSET not in self.tables:
             hidden, absent = "is shown to methods without its paths.", "holds no paths. Generate it with --paths."
             raise DataError(f"{self.path} {hidden if self.header.paths else absent}")
+        with self._file() as file, hdf5.read_errors(self.path, f"group {GROUP!r}"):
+            totals = stored_totals(file)
+            found = read_paths(file, totals, self.tables[OFFSET][offsets])
+        if self.file_header.polarizations:
+            found = replace(found, gain=found.gain[:, self.file_header.link(*self.link)[1]])
+        return found, totals.surface_names
 
-    def cir(self, sample: int) -> ImpulseResponse:
-        """Delays and gains of a sample's paths at each array element, as spherical waves; raises as `paths` does."""
-        return self.paths(sample).impulse_response(self.header.receiver)
 
-    def cfr_at(
-        self, sample: int, offset_hz: Sequence[float] | Float[FloatArray, "K"]
-    ) -> Complex[NDArray[np.complex128], "K M"]:
-        """Channel of a sample at K frequencies about its carrier, from its paths, whose gains stay as at the carrier.
+def stored_paths(dataset: PasDataset) -> tuple[RaggedPaths, tuple[str, ...]]:
+    """All paths of a whole data set, one behind the other, and the surfaces' names; raises as `PasDataset.paths`."""
+    of_all, surface_names = dataset._paths(slice(None))
+    header = dataset.file_header
+    return of_all.every(max(1, len(header.receivers)), header.link(*dataset.link)[0]), surface_names
 
-        Raises as `paths` does, and `DataError` for offsets that are no numbers, or that reach as far as the carrier.
-        """
-        return self.cir(sample).cfr(np.asarray(offset_hz, dtype=np.float64))
 
-    @checked
-    def batches(self, size: PositiveInt) -> Iterator[tuple[IntArray, Float[NDArray[np.float32], "n E A"]]]:
-        """The numbers of all samples and their maps, `size` at a time."""
-        for start in range(0, len(self), size):
-            rows = np.arange(start, min(start + size, len(self)))
-            yield rows, self.pas(rows)
+def links(dataset: PasDataset) -> Iterator[PasDataset]:
+    """The same samples of each link of the file: all polarizations of the first receiver, then of the next."""
+    for receiver, polarization in product(*(names or (None,) for names in dataset.file_header.link_names)):
+        yield dataset.at(receiver, polarization) if dataset.file_header.link_axes else dataset
 
-    def subset(self, rows: Rows | int) -> PasDataset:
-        """The samples with some numbers, in that order: a view that copies nothing. Raises `IndexError`."""
-        return replace(self, rows=self.rows[chosen_rows(rows, len(self))])
 
-    def isolated(self) -> PasDataset:
-        """The same samples, with the channels of all others set to zero: what a method is given to train on.
+def isolated(dataset: PasDataset) -> PasDataset:
+    """The same samples, with the channels of all others set to zero: what a method is given to train on.
 
-        It is a copy, so that whatever a method writes there changes nothing elsewhere. The paths are left out, for they
-        tell of the carriers that are tested.
-        """
-        tables = {name: table.copy() for name, table in self.tables.items() if name != OFFSET}
-        for name in tables.keys() & {"cfr", "peak_power", "num_paths"}:
-            samples = tables[name].reshape(-1, *tables[name].shape[2:])
-            samples[np.setdiff1d(np.arange(len(samples)), self.rows)] = 0
-        names = ("header", "file_header", "beam", "rows")
-        return replace(self, tables=tables, is_isolated=True, **{name: deepcopy(getattr(self, name)) for name in names})
-
-    def _samples(self, name: str) -> NDArray[Any]:
-        table = self.tables[name]
-        return table.reshape(-1, *table.shape[2:])[self.rows]
+    It is a copy, so that whatever a method writes there changes nothing elsewhere. The paths are left out, for they
+    tell of the carriers that are tested.
+    """
+    tables = {name: table.copy() for name, table in dataset.tables.items() if name != OFFSET}
+    for name in tables.keys() & {"cfr", "peak_power", "num_paths"}:
+        samples = tables[name].reshape(-1, *tables[name].shape[2:])
+        samples[np.setdiff1d(np.arange(len(samples)), dataset.rows)] = 0
+    names = ("header", "file_header", "beam", "rows")
+    own = {name: deepcopy(getattr(dataset, name)) for name in names}
+    return replace(dataset, tables=tables, _is_isolated=True, **own)
 
 
 @checked
@@ -435,12 +319,15 @@ def open_dataset(path: FilePath, receiver: str | None = None, polarization: str 
     path = located(path)
     with hdf5.open_sealed(path, SCHEMA) as file:
         whole = DatasetHeader.from_attributes(hdf5.text_attributes(file), hdf5.read_array(file, "carrier_hz"))
-        link = whole.link(receiver, polarization)
-        header = whole.at(*link)
+        numbers = whole.link(receiver, polarization)
+        header = whole.at(*numbers)
+        first, second = ((*names, None)[number] for names, number in zip(whole.link_names, numbers, strict=True))
+        link = first, second
         grid = AngularGrid(*(np.radians(hdf5.read_array(file, f"{name}_deg")) for name in ("elevation", "azimuth")))
         hdf5.require_layout(file, variables(whole, grid))
         names = ("tx_position_m", "line_of_sight", "peak_power", "num_paths", "cfr")
         tables = {name: hdf5.read_array(file, name) for name in names if header.channels or name != "cfr"}
+        tables["line_of_sight"] = tables["line_of_sight"].astype(bool)
         for name in ("rx_position_m", "frame_rotation"):  # the header holds them too; other programs read these
             hdf5.read_array(file, name)
         if header.paths:
@@ -456,15 +343,14 @@ def open_dataset(path: FilePath, receiver: str | None = None, polarization: str 
             for name in tables.keys() & {"peak_power", "num_paths", "cfr"}:
                 tables[name] = np.ascontiguousarray(tables[name][at])
             if whole.receivers:
-                tables["line_of_sight"] = np.ascontiguousarray(tables["line_of_sight"][:, link[0]])
+                tables["line_of_sight"] = np.ascontiguousarray(tables["line_of_sight"][:, numbers[0]])
         rows = np.arange(tables["peak_power"].size, dtype=np.int64)
         return PasDataset(path.resolve(), header, hdf5.sealed_sha256(file), beam, tables, rows, whole, link)
 
 
-def _at(whole: DatasetHeader, link: tuple[int, int]) -> tuple[int, ...]:
+def _at(whole: DatasetHeader, link: tuple[str | None, str | None]) -> tuple[int, ...]:
     """Where a link is along the axes that a file has for links."""
-    axes = zip((whole.receivers, whole.polarizations), link, strict=True)
-    return tuple(number for names, number in axes if names)
+    return tuple(number for names, number in zip(whole.link_names, whole.link(*link), strict=True) if names)
 
 
 def _require_meaning(tables: Mapping[str, NDArray[Any]]) -> None:
@@ -480,20 +366,15 @@ def _require_meaning(tables: Mapping[str, NDArray[Any]]) -> None:
         raise ValueError(f"dataset 'tx_position_m' holds positions beyond {FAR_M:g} m")
 
 
-def _in_db(power: Float[FloatArray, "N"]) -> Float[FloatArray, "N"]:
-    with np.errstate(divide="ignore"):
-        return np.asarray(10 * np.log10(power))
-
-
 def reopen(
-    path: str, sha256: str, rows: Rows, is_isolated: bool = False, other_receivers: tuple[PasDataset, ...] = ()
+    path: str, sha256: str, rows: Rows, other_receivers: tuple[PasDataset, ...] = (), is_isolated: bool = False
 ) -> PasDataset:
     """The rows of a data set that was pickled; raises `DataError` if the file has changed since."""
-    dataset = next((link for link in open_dataset(path).links() if link.sha256 == sha256), None)
+    dataset = next((link for link in links(open_dataset(path)) if link.sha256 == sha256), None)
     if dataset is None:
         raise DataError(f"{path} is another data set than before: its sha256 was {sha256}.")
-    kept = replace(dataset.subset(rows), other_receivers=other_receivers)
-    return kept.isolated() if is_isolated else kept
+    kept = replace(dataset[rows], other_receivers=other_receivers)
+    return isolated(kept) if is_isolated else kept
 
 
 def verify(path: str | Path) -> None:

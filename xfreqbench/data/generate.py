@@ -3,127 +3,65 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import cycle, islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from pydantic import InstanceOf
 
 from xfreqbench.data.batches import BatchStore, claimed_batches, holds_batches_of
-from xfreqbench.data.dataset import PasDataset, holds_same_job, open_dataset
+from xfreqbench.data.dataset import PasDataset, holds_same_job, links, open_dataset
+from xfreqbench.data.options import GenerateOptions, taking
 from xfreqbench.data.paths import PathTotals
 from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.data.retrace import require_origin
-from xfreqbench.data.trace import channel_by, forget_rays, traced, traced_alike, tracers_of
+from xfreqbench.data.trace import forget_rays, traced
 from xfreqbench.data.writer import PasWriter, SampleBlock
-from xfreqbench.errors import XFreqBenchError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.scene.materials import MaterialPolicy
-from xfreqbench.scene.model import Scene, load_scene
-from xfreqbench.system.arguments import CarriersGhz, FilePath, Positions, Texts, Word, checked
-from xfreqbench.system.bars import Shown, announcing, progress_bars
+from xfreqbench.scene.model import Scene
+from xfreqbench.system.arguments import FilePath
+from xfreqbench.system.bars import announcing, progress_bars
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_space
-from xfreqbench.system.processes import SERIAL, open_workers
+from xfreqbench.system.processes import open_workers
 from xfreqbench.system.workers import HERE, Workers, side_by_side
-from xfreqbench.tracing.solvers import interactions_named
-from xfreqbench.tracing.tracer import SolverName, TraceSettings
-from xfreqbench.types import FloatArray, IntArray, ProgressCallback, ignore_progress
-from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
+from xfreqbench.types import IntArray, ProgressCallback, ignore_progress
 
-_FEW_RAYS = 1000  # which meet all that has to be compiled
-
-NUM_RETRACED = 4  # samples of every data set that are traced again before it gets its name, or more after a kill
+# Samples of every data set that are traced again before it gets its name, or more after a kill.
+NUM_RETRACED = 4
 
 
-@checked
-def generate(
-    scene: FilePath | InstanceOf[Scene],
-    output: FilePath,
-    freqs_ghz: CarriersGhz = PAPER_CARRIERS_GHZ,
-    *,
-    tx: int | None = None,
-    tx_positions: Positions | None = None,
-    solver: SolverName = "auto",
-    interactions: Texts | None = None,
-    rays: int = 500_000,
-    max_depth: int = 6,
-    seed: int = 1,
-    pas_kind: str = "power",
-    materials: MaterialPolicy = "error",
-    maps: bool = True,
-    paths: bool = False,
-    receiver: Texts | None = None,
-    polarization: Texts | None = None,
-    executor: Word = SERIAL,
-    progress: Shown = "auto",
-    tell: Callable[[str], None] | None = None,
-) -> PasDataset:
+@taking(GenerateOptions, without=("rooms",))
+def generate(scene: FilePath | InstanceOf[Scene], output: FilePath, options: GenerateOptions) -> PasDataset:
     """Trace a scene at some carriers, write channels and maps to the file `output`, and open it.
 
-    `scene` is a shipped scene's name, the path of a scene TOML, or a `Scene`. The transmitters are `tx` of the
-    scene's grid, chosen by the seed, all of it where `tx` is None, or else those at `tx_positions`, in metres, for
-    which the scene needs no grid. The other options are those of `xfreqbench generate`, with the same names and
-    defaults: without `interactions` they are specular, refraction, and diffraction where solver `image` traces it.
-    `executor` is `serial`, a number of processes, or `dask://host:port`. `progress` shows on stderr how far it
-    is, as bars on a terminal and as a line every ten seconds elsewhere; `auto` does so on a terminal and in a notebook
-    alone. `tell` is given counts and size of what will be traced, in a few lines, before the first ray.
-
-    `receiver` names one or several of the scene's receivers, or is `all`; without it the first is traced.
-    `polarization` is V or H, or both for all four pairs of what is sent and heard: `VV`, `VH`, `HV` and `HH`. A file
-    with several of either holds a link for each receiver and pair, of which the first is opened; see `PasDataset.at`.
+    `scene` is a shipped scene's name, the path of a scene TOML, or a `Scene`. The options are those of
+    `xfreqbench generate`, by the same names and with the same defaults; where that takes names with commas, they are
+    a list here, and `tx_positions` is an array (T, 3) in metres, for which the scene needs no grid. `progress` shows on
+    stderr how far it is, as bars on a terminal and as a line every ten seconds elsewhere; `auto` does so on a terminal
+    and in a notebook alone. `tell` is given counts and size of what will be traced, in a few lines, before the first
+    ray. A file with several receivers or polarizations holds a link for each receiver and pair, of which the first is
+    opened; see `PasDataset.at`.
 
     The same call goes on where a killed one stopped, and opens what is finished: see `generate_planned`, also for
     what is raised. A mistake is an `XFreqBenchError`, before the first ray where that is possible.
     """
-    with announcing(progress) as is_shown:
-        plan = plan_of(
-            scene,
-            freqs_ghz,
-            TraceSettings(solver, interactions_named(interactions), max_depth, rays, seed, materials),
-            tx=tx,
-            tx_positions=tx_positions,
-            pas_kind=pas_kind,
-            maps=maps,
-            paths=paths,
-            receiver=receiver,
-            polarization=polarization,
-        )
-        if tell:
-            tell(plan.summary)
+    with announcing(options.progress) as is_shown:
+        plan = plan_generation(scene, options)
+        if options.tell:
+            options.tell(plan.summary)
         with (
-            open_workers(executor) as workers,
+            open_workers(options.executor) as workers,
             progress_bars("transmitters", ["tracing", "writing"], not is_shown) as (tracing, writing),
         ):
             dataset = open_dataset(generate_planned(plan, Path(output), tracing, writing, workers))
-    if tell and (differing := differences(plan.header.software, dataset.header.software)):
-        tell(f"{output} was traced by other software, {differing}, and has the same recipe: it stays as it is.")
+    if options.tell and (differing := differences(plan.header.software, dataset.header.software)):
+        options.tell(f"{output} was traced by other software, {differing}, and has the same recipe: it stays as it is.")
     return dataset
-
-
-def plan_of(
-    scene: str | Path | Scene,
-    freqs_ghz: Sequence[float],
-    settings: TraceSettings,
-    *,
-    tx: int | None = None,
-    tx_positions: Float[FloatArray, "T 3"] | None = None,
-    receiver: Sequence[str] | None = None,
-    polarization: Sequence[str] | None = None,
-    **options: Any,
-) -> Plan:
-    """The plan of what `generate` does with the same arguments; raises as `plan_generation` does."""
-    if tx is not None and tx_positions is not None:
-        raise XFreqBenchError("tx chooses from the scene's grid and tx_positions replaces it; give one of them.")
-    scene, carriers_hz = scene if isinstance(scene, Scene) else load_scene(scene), list(map(ghz_to_hz, freqs_ghz))
-    options |= {"num_transmitters": tx, "tx_position_m": tx_positions}
-    return plan_generation(scene, carriers_hz, settings, receivers=receiver, polarizations=polarization, **options)
 
 
 def generate_planned(
@@ -167,9 +105,7 @@ def _trace_missing(plan: Plan, store: BatchStore, report: ProgressCallback, work
     done = len(plan.tx_position_m) - sum(rows.stop - rows.start for _, rows in missing)
     report(done, len(plan.tx_position_m))
     batches = ((index, plan.tx_position_m[rows]) for index, rows in missing)
-    call = partial(traced, plan.tracing)
-    if workers is not HERE:
-        call = partial(traced_alike, plan.tracing, plan.header.software)
+    call = partial(traced, plan.tracing, software=None if workers is HERE else plan.header.software)
     for (index, tx), channel in side_by_side(workers, call, batches, ahead=1):
         store.write(index, channel.result())
         done += len(tx)
@@ -182,7 +118,7 @@ def _write(plan: Plan, store: BatchStore, path: Path, report: ProgressCallback, 
 
     def prove(written: Path) -> None:
         sampled = _sampled(plan, store.kept)
-        for number, link in enumerate(open_dataset(written).links()):
+        for number, link in enumerate(links(open_dataset(written))):
             rows = sampled[number % len(sampled) :: plan.num_links]
             require_origin(link, rows, folder=plan.scene.folder, workers=workers)
 
@@ -214,11 +150,11 @@ def estimate_seconds(plan: Plan, probes: int = 4) -> float:
     Compilation is not counted: it happens here, and what is compiled is stored.
     """
     spread = np.linspace(0, len(plan.tx_position_m) - 1, probes).astype(int)
-    for settings in (replace(plan.settings, rays=_FEW_RAYS), plan.settings):
+    times = []
+    few_rays = replace(plan.tracing, settings=replace(plan.settings, rays=1000))  # which meet all that is compiled
+    for tracing, tx in ((few_rays, spread[:1]), (plan.tracing, spread[:1]), (plan.tracing, spread)):
         start = time.perf_counter()
-        tracers = tracers_of(plan.tracing, settings)
-        channel_by(tracers, plan.tracing, plan.tx_position_m[spread[:1]])
-    shot = time.perf_counter()
-    channel_by(tracers, plan.tracing, plan.tx_position_m[spread])
-    per_transmitter = (time.perf_counter() - shot) / probes
-    return shot - start + per_transmitter * len(plan.tx_position_m)
+        traced(tracing, (0, plan.tx_position_m[tx]))
+        times.append(time.perf_counter() - start)
+    forget_rays()
+    return times[1] + times[2] / probes * len(plan.tx_position_m)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
@@ -63,11 +63,13 @@ class ImpulseResponse:
     delay_s: Float[FloatArray, "P M"]
     gain: Complex[NDArray[np.complex128], "P M"]
 
-    def cfr(self, offset_hz: Float[FloatArray, "K"]) -> Complex[NDArray[np.complex128], "K M"]:
+    def cfr(self, offset_hz: Sequence[float] | Float[FloatArray, "K"]) -> Complex[NDArray[np.complex128], "K M"]:
         """Channel at K frequencies, given as offsets from the carrier: Σ_p gain·exp(−j2π·offset·delay).
 
-        Raises `DataError` for offsets that are no numbers, or that reach as far as the carrier.
+        Gains stay as at the carrier. Raises `DataError` for offsets that are not numbers, or that reach as far as the
+        carrier.
         """
+        offset_hz = np.asarray(offset_hz, dtype=np.float64)
         if not (np.abs(offset_hz) < self.carrier_hz).all():
             raise DataError(
                 f"Frequencies are given as offsets from the carrier, {format_ghz(self.carrier_hz)}, which is 0 itself, "
@@ -98,6 +100,7 @@ class SamplePaths:
     """
 
     carrier_hz: float
+    receiver: ReceiverArray
     gain: Complex[NDArray[np.complex128], "P"]
     delay_s: Float[FloatArray, "P"]
     arrival_azimuth_rad: Float[NDArray[np.float32], "P"]
@@ -125,19 +128,22 @@ class SamplePaths:
         """Unit vectors in world axes from the transmitter towards each path's first interaction, or the receiver."""
         return directions(self.departure_azimuth_rad, self.departure_elevation_rad)
 
-    def impulse_response(self, receiver: ReceiverArray) -> ImpulseResponse:
+    def impulse_response(self) -> ImpulseResponse:
         """The channel of every path at the elements of the array, each path as one spherical wave (`element_delays_s`).
 
         Power and polarisation are those at the centre for all elements.
         """
-        element_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / self.carrier_hz) - receiver.position_m
+        receiver, wavelength_m = self.receiver, SPEED_OF_LIGHT_M_S / self.carrier_hz
+        element_m = receiver.element_position_m(wavelength_m) - receiver.position_m
         delay_s = element_delays_s(self.delay_s, self.arrival, element_m)
         turned = self.gain[:, None] * np.exp(-2j * np.pi * self.carrier_hz * delay_s)
         return ImpulseResponse(self.carrier_hz, delay_s, turned)
 
     @classmethod
-    def of(cls, paths: RaggedPaths, carrier: int, carrier_hz: float, surface_names: tuple[str, ...]) -> SamplePaths:
-        """The paths of one transmitter, at the carrier of that number."""
+    def of(
+        cls, paths: RaggedPaths, carrier: int, header: DatasetHeader, surface_names: tuple[str, ...] = ()
+    ) -> SamplePaths:
+        """The paths of one transmitter, at the carrier of that number in the header."""
         count = paths.num_interactions
         is_met = np.arange(count.max(initial=0)) < count[:, None]
         interactions = np.full(is_met.shape, NO_INTERACTION, np.int32)
@@ -145,7 +151,8 @@ class SamplePaths:
         interactions[is_met], surfaces[is_met] = paths.interaction, paths.surface
         vertices_m[is_met] = paths.vertex_m
         return cls(
-            carrier_hz=carrier_hz,
+            carrier_hz=float(header.carrier_hz[carrier]),
+            receiver=header.receiver,
             gain=paths.gain[:, carrier].astype(np.complex128),
             interactions=interactions,
             surfaces=surfaces,

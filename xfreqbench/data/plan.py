@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
+from pathlib import Path
 from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import TypeAdapter
 
+from xfreqbench.data.options import GenerateOptions
 from xfreqbench.data.recipe import job_of
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.trace import Tracing
@@ -20,7 +22,7 @@ from xfreqbench.maps.bartlett import pas_kind_named
 from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
 from xfreqbench.scene.materials import P2040_EDITION, ConstantMaterial, check_dispersion
 from xfreqbench.scene.meshes import bounds_m, meshes_sha256, slabs_of, triangle_corners_m
-from xfreqbench.scene.model import POLARIZATION_PAIRS, PolarizationPair, Scene
+from xfreqbench.scene.model import POLARIZATION_PAIRS, PolarizationPair, Scene, load_scene
 from xfreqbench.scene.overlaps import check_overlaps, nearly_in_one_plane
 from xfreqbench.scene.placement import (
     MIN_SEPARATION_M,
@@ -42,7 +44,7 @@ from xfreqbench.tracing.solvers import resolve_solver
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.tracing.versions import PHYSICS_VERSION, software_versions
 from xfreqbench.types import FloatArray, NDArray
-from xfreqbench.units import format_ghz_list
+from xfreqbench.units import format_ghz_list, ghz_to_hz
 
 BYTES_PER_TRIANGLE = 800  # at the peak, where solver `image` sorts them; measured in scene `lounge`
 BYTES_PER_RAY = 300  # of solver `sionna`, at the peak
@@ -190,31 +192,22 @@ class Plan:
         return [slice(start, min(start + step, count)) for start in range(0, count, step)]
 
 
-def plan_generation(
-    scene: Scene | PreparedScene,
-    carrier_hz: Sequence[float],
-    settings: TraceSettings = TraceSettings(),
-    *,
-    num_transmitters: int | None = None,
-    tx_position_m: Float[FloatArray, "T 3"] | None = None,
-    pas_kind: str = "power",
-    maps: bool = True,
-    paths: bool = False,
-    receivers: Sequence[str] | None = None,
-    polarizations: Sequence[str] | None = None,
-) -> Plan:
-    """Check a job and look up all that it needs; no ray is shot.
+def plan_generation(scene: str | Path | Scene | PreparedScene, options: GenerateOptions) -> Plan:
+    """Check what a scene's data set is asked for and look up all that it needs; no ray is shot.
 
-    The transmitters are those at `tx_position_m`, or else the scene's usable grid positions, of which the seed
-    chooses `num_transmitters` where that is given. `pas_kind` is the kind of maps, and `maps=False` leaves them
-    out of the file; `paths` puts the paths into it. `receivers` names some of the scene's, or `all`; the first if
-    None. `polarizations` are V and H, or pairs of them, or None for what the scene says. Raises `MaterialBandError`,
-    `PlacementError` or another `XFreqBenchError`.
+    The transmitters are those of `tx_positions`, or else the scene's usable grid positions, of which the seed chooses
+    `tx` where that is given. Raises `MaterialBandError`, `PlacementError` or another `XFreqBenchError`.
     """
-    carriers = _checked_carriers(carrier_hz)
+    if options.tx is not None and options.tx_positions is not None:
+        raise XFreqBenchError("tx chooses from the scene's grid and tx_positions replaces it; give one of them.")
+    scene = load_scene(scene) if isinstance(scene, str | Path) else scene
+    settings, paths = options.settings, options.paths
+    carriers = sorted(map(ghz_to_hz, options.freqs_ghz))
+    if len(set(carriers)) < len(carriers):
+        raise XFreqBenchError(f"Each carrier can be given once, but {format_ghz_list(carriers)} names one twice.")
     prepared = PreparedScene.of(scene)
-    pairs = _pairs(polarizations)
-    scene, geometry = _with_receivers(prepared.scene, receivers), prepared.geometry
+    pairs = _pairs(options.polarization)
+    scene, geometry = _with_receivers(prepared.scene, options.receiver), prepared.geometry
     scene = scene.with_polarization(pairs[0]) if pairs else scene
     rays = settings.rays if settings.solver == "sionna" else 0
     require_memory(
@@ -234,17 +227,17 @@ def plan_generation(
         alone = replace(scene, receiver=receiver, other_receivers=())
         check_receiver(alone, geometry.meshes, min(carriers))
         check_closed(alone, geometry.meshes)
-    if tx_position_m is None:
+    if options.tx_positions is None:
         usable = place_transmitters(scene, geometry.meshes, min(carriers))
-        placed = replace(usable, tx_position_m=choose_transmitters(usable, num_transmitters, settings.seed))
+        placed = replace(usable, tx_position_m=choose_transmitters(usable, options.tx, settings.seed))
     else:
-        check_transmitters(scene, geometry.meshes, tx_position_m, carriers)
-        placed = Placement(tx_position_m, rejected={})
+        check_transmitters(scene, geometry.meshes, options.tx_positions, carriers)
+        placed = Placement(options.tx_positions, rejected={})
     sha256 = meshes_sha256(geometry.meshes)
     absolute = replace(scene, folder=scene.folder.absolute())  # for workers that started in another folder
     several = pairs if len(pairs) > 1 else ()
     tracing = Tracing(absolute, sha256, tuple(carriers), settings, paths, several, geometry)
-    header = _header(tracing, placed, pas_kind, maps, extrapolated)
+    header = _header(tracing, placed, options.pas_kind, options.maps is not False, extrapolated)
     return Plan(tracing, placed.tx_position_m, header)
 
 
@@ -274,16 +267,6 @@ def _pairs(polarizations: Sequence[str] | None) -> tuple[PolarizationPair, ...]:
         if name not in POLARIZATION_PAIRS:
             raise UnknownNameError("pair of polarizations", name, POLARIZATION_PAIRS)
     return cast("tuple[PolarizationPair, ...]", names)
-
-
-def _checked_carriers(carrier_hz: Sequence[float]) -> list[float]:
-    """Carriers in ascending order; raises `XFreqBenchError` for one that is not positive or is given twice."""
-    carriers = [float(carrier) for carrier in carrier_hz]
-    if not carriers or not all(np.isfinite(carriers)) or min(carriers) <= 0:
-        raise XFreqBenchError(f"Carriers must be positive frequencies, but {format_ghz_list(carriers)} are given.")
-    if len(set(carriers)) < len(carriers):
-        raise XFreqBenchError(f"Each carrier can be given once, but {format_ghz_list(carriers)} names one twice.")
-    return sorted(carriers)
 
 
 def _header(

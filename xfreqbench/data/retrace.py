@@ -88,7 +88,7 @@ def traced_scene(dataset: PasDataset, folder: Path | None = None) -> Scene:
 def _retraced(
     dataset: PasDataset, rows: Int[IntArray, "n"], folder: Path | None, workers: Workers
 ) -> Iterator[Retraced]:
-    header, num_carriers = dataset.header, dataset.num_carriers
+    header, num_carriers = dataset.header, dataset.header.num_carriers
     carriers_hz = tuple(header.carrier_hz.tolist())
     scene = traced_scene(dataset, folder)
     tracing = Tracing(scene, header.scene_sha256, carriers_hz, dataset.trace_settings, header.paths)
@@ -100,18 +100,17 @@ def _retraced(
 
 def _compared(dataset: PasDataset, rows: Int[IntArray, "n"], again: Channel) -> Iterator[Retraced]:
     """Samples of one transmitter beside its channel at all carriers, traced again."""
-    asked = dataset.subset(rows)
+    asked = dataset[rows]
     maps = dataset.beam.maps(asked.cfr, dataset.header.pas_kind)[0]
     map_differences = np.abs(asked.pas() - maps).max(axis=(1, 2))
     for row, stored, map_difference in zip(rows, asked.cfr, map_differences, strict=True):
-        carrier = row % dataset.num_carriers
+        carrier = row % dataset.header.num_carriers
         carrier_hz = float(dataset.header.carrier_hz[carrier])
         differences = [float(map_difference), _apart(stored, again.cfr[0, carrier])]
         if again.paths is not None:
-            receiver = dataset.header.receiver
-            compared = dataset.paths(row), SamplePaths.of(again.paths, int(carrier), carrier_hz, ())
-            differences.append(_apart(*(paths.impulse_response(receiver).gain.sum(axis=0) for paths in compared)))
-        yield Retraced(int(row // dataset.num_carriers), carrier_hz, float(np.max(differences)))
+            compared = dataset.paths(row), SamplePaths.of(again.paths, int(carrier), dataset.header)
+            differences.append(_apart(*(paths.impulse_response().gain.sum(axis=0) for paths in compared)))
+        yield Retraced(int(row // dataset.header.num_carriers), carrier_hz, float(np.max(differences)))
 
 
 def _apart(

@@ -9,56 +9,55 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field, InstanceOf, PositiveInt, TypeAdapter
+from pydantic import InstanceOf, TypeAdapter
 
 from xfreqbench.data.collection import FILE, Collection, Room, entry_of, open_collection, room_of, write_collection
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.options import GenerateOptions, taking
 from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.data.recipe import job_differences
-from xfreqbench.errors import DataError, OutputExistsError
+from xfreqbench.errors import ArgumentError, DataError, OutputExistsError
 from xfreqbench.scene.drawn_rooms import draw_room, room_name
 from xfreqbench.scene.families import Family, load_family
-from xfreqbench.scene.materials import MaterialPolicy
-from xfreqbench.system.arguments import CarriersGhz, FilePath, Texts, Word, checked
-from xfreqbench.system.bars import Shown, announcing, progress_bars
+from xfreqbench.system.arguments import FilePath
+from xfreqbench.system.bars import announcing, progress_bars
 from xfreqbench.system.files import atomic_path, sole_writer, storage_errors
-from xfreqbench.system.processes import SERIAL, open_workers
+from xfreqbench.system.processes import open_workers
 from xfreqbench.system.workers import Workers, side_by_side
-from xfreqbench.tracing.solvers import interactions_named
-from xfreqbench.tracing.tracer import SolverName, TraceSettings
 from xfreqbench.tracing.versions import PHYSICS_VERSION
 from xfreqbench.types import ProgressCallback, ignore_progress
-from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
+from xfreqbench.units import ghz_to_hz
 
-MAX_DEPTH, RAYS = 4, 50_000  # of a room by default: a fifth of the time that a scene's defaults take
-_SHOWN = 5  # names of files in a message
-Seed = Annotated[int, Field(ge=0, lt=2**31)]
+# Of a room: a fifth of the time that a scene's defaults take.
+ROOM_DEFAULTS: dict[str, Any] = {"tx": 120, "rays": 50_000, "max_depth": 4, "maps": False}
 
 
 @dataclass(frozen=True)
 class RoomsPlan:
-    """What is asked for: rooms of a family by their seeds, and what of the rays and of the files."""
+    """Rooms of a family, and what is asked of each, with the solver and the interactions that serve the first."""
 
     family: Family
-    seeds: range
-    carrier_hz: tuple[float, ...]
-    settings: TraceSettings
-    tx: int = 120
-    pas_kind: str = "power"
-    maps: bool = False
-    paths: bool = False
-    polarization: tuple[str, ...] | None = None
+    options: GenerateOptions
 
     @property
-    def options(self) -> dict[str, Any]:
-        """What all rooms have in common, as JSON holds it."""
-        settings = {name: value for name, value in asdict(self.settings).items() if name != "seed"}
-        told = {"tx": self.tx, "pas_kind": self.pas_kind, "maps": self.maps, "paths": self.paths}
+    def seeds(self) -> range:
+        """The seeds of the rooms."""
+        return range(self.options.seed, self.options.seed + (self.options.rooms or 0))
+
+    @property
+    def carrier_hz(self) -> tuple[float, ...]:
+        """The carriers of all rooms in hertz, ascending."""
+        return tuple(sorted(map(ghz_to_hz, self.options.freqs_ghz)))
+
+    @property
+    def common(self) -> dict[str, Any]:
+        """The options that all rooms have in common, as JSON holds them."""
+        names = ("tx", "pas_kind", "maps", "paths", "polarization", *asdict(self.options.settings))
         return TypeAdapter(dict[str, Any]).dump_python(
-            {**told, "polarization": self.polarization, **settings}, mode="json"
+            {name: getattr(self.options, name) for name in names if name != "seed"}, mode="json"
         )
 
     def file_of(self, seed: int) -> str:
@@ -66,28 +65,8 @@ class RoomsPlan:
         return f"{seed // 1000:03d}/{seed:06d}.h5"
 
 
-@checked
-def generate_rooms(
-    family: FilePath | InstanceOf[Family],
-    output: FilePath,
-    freqs_ghz: CarriersGhz = PAPER_CARRIERS_GHZ,
-    *,
-    rooms: PositiveInt,
-    tx: PositiveInt = 120,
-    solver: SolverName = "auto",
-    interactions: Texts | None = None,
-    rays: int = RAYS,
-    max_depth: int = MAX_DEPTH,
-    seed: Seed = 1,
-    pas_kind: str = "power",
-    materials: MaterialPolicy = "error",
-    maps: bool = False,
-    paths: bool = False,
-    polarization: Texts | None = None,
-    executor: Word = SERIAL,
-    progress: Shown = "auto",
-    tell: Callable[[str], None] | None = None,
-) -> Collection:
+@taking(GenerateOptions, needed=("rooms",), without=("tx_positions", "receiver"))
+def generate_rooms(family: FilePath | InstanceOf[Family], output: FilePath, options: GenerateOptions) -> Collection:
     """Draw rooms from a family, trace each, write their data sets to the folder `output`, and open the collection.
 
     `family` is a shipped family's name, the path of its TOML, or a `Family`. The rooms are those of `rooms` seeds from
@@ -98,36 +77,24 @@ def generate_rooms(
     lost are named to `tell`, and made again. A call with more rooms adds them. Raises what `generate`
     raises, and `OutputExistsError` where the folder holds rooms of another family or with other options.
     """
-    settings = TraceSettings(solver, interactions_named(interactions), max_depth, rays, materials=materials)
-    files: dict[str, Any] = {"pas_kind": pas_kind, "maps": maps, "paths": paths, "polarization": polarization}
-    with announcing(progress) as is_shown:
-        plan = plan_of_rooms(family, freqs_ghz, settings, rooms=rooms, seed=seed, tx=tx, **files)
-        with open_workers(executor) as workers, progress_bars("rooms", ["tracing"], not is_shown) as (report,):
-            return generate_planned_rooms(plan, Path(output), workers, report, tell or (lambda text: None))
+    with announcing(options.progress) as is_shown:
+        plan = plan_rooms(family, options)
+        with open_workers(options.executor) as workers, progress_bars("rooms", ["tracing"], not is_shown) as (report,):
+            return generate_planned_rooms(plan, Path(output), workers, report, options.tell or (lambda text: None))
 
 
-@checked
-def plan_of_rooms(
-    family: FilePath | InstanceOf[Family],
-    freqs_ghz: CarriersGhz,
-    settings: InstanceOf[TraceSettings],
-    *,
-    rooms: PositiveInt,
-    seed: Seed = 1,
-    tx: PositiveInt = 120,
-    polarization: Texts | None = None,
-    **files: Any,
-) -> RoomsPlan:
-    """The plan of rooms of the seeds from `seed` on; its first room is checked as a scene is.
-
-    `files` are `pas_kind`, `maps` and `paths` as `generate_rooms` takes them. Raises what `generate_rooms` raises.
-    """
+def plan_rooms(family: str | Path | Family, options: GenerateOptions) -> RoomsPlan:
+    """The plan of rooms, whose first one is checked as a scene is; raises what `generate_rooms` raises."""
+    given = {name: default for name, default in ROOM_DEFAULTS.items() if getattr(options, name) is None}
+    options = replace(options, **given)
+    for name, least in (("rooms", 1), ("tx", 1), ("seed", 0)):
+        if not least <= getattr(options, name) < 2**31:
+            raise ArgumentError(f"generate_rooms cannot use {name}={getattr(options, name)}: it is {least} or more.")
     known = family if isinstance(family, Family) else load_family(family)
-    carrier_hz = tuple(sorted(map(ghz_to_hz, freqs_ghz)))
-    pairs = None if polarization is None else tuple(polarization)
-    plan = RoomsPlan(known, range(seed, seed + rooms), carrier_hz, settings, tx, polarization=pairs, **files)
-    _, first = _planned(plan, seed)
-    return replace(plan, settings=first.settings)
+    plan = RoomsPlan(known, options)
+    _, first = _planned(plan, options.seed)
+    solved = first.settings
+    return RoomsPlan(known, replace(options, solver=solved.solver, interactions=solved.interactions))
 
 
 def generate_planned_rooms(
@@ -146,7 +113,7 @@ def generate_planned_rooms(
         known = {room.file for room in before}
         lost = [file for file in map(plan.file_of, missing) if file in known or (folder / file).exists()]
         if lost:
-            shown = ", ".join(lost[:_SHOWN]) + ", …" * (len(lost) > _SHOWN)
+            shown = ", ".join(lost[:5]) + ", …" * (len(lost) > 5)
             tell(f"missing or damaged, and made again: {len(lost)} of {len(seeds)} rooms, {shown}")
         progress(len(kept), len(seeds))
         for seed, made in side_by_side(workers, partial(made_room, plan), missing, ahead=1):
@@ -170,7 +137,7 @@ def made_room(plan: RoomsPlan, seed: int) -> tuple[str, bytes]:
 
 def estimate_rooms(plan: RoomsPlan, probes: int = 3) -> tuple[float, float]:
     """Seconds that one core takes for all rooms, and their bytes, from a few rooms that are made and thrown away."""
-    made_room(replace(plan, tx=2), plan.seeds[0])  # what has to be compiled
+    made_room(replace(plan, options=replace(plan.options, tx=2)), plan.seeds[0])  # what has to be compiled
     seconds, sizes = list[float](), list[int]()
     for seed in plan.seeds[:probes]:
         start = time.process_time()
@@ -182,16 +149,8 @@ def estimate_rooms(plan: RoomsPlan, probes: int = 3) -> tuple[float, float]:
 def _planned(plan: RoomsPlan, seed: int) -> tuple[str, Plan]:
     """Type of a room, and the plan of its generation."""
     room = draw_room(plan.family, seed)
-    return room.type.name, plan_generation(
-        room.scene,
-        plan.carrier_hz,
-        replace(plan.settings, seed=seed),
-        tx_position_m=room.transmitters(plan.tx),
-        pas_kind=plan.pas_kind,
-        maps=plan.maps,
-        paths=plan.paths,
-        polarizations=plan.polarization,
-    )
+    tx_m = room.transmitters(plan.options.tx or 0)
+    return room.type.name, plan_generation(room.scene, replace(plan.options, seed=seed, tx=None, tx_positions=tx_m))
 
 
 def _claim(plan: RoomsPlan, folder: Path) -> tuple[Room, ...]:
@@ -207,7 +166,7 @@ def _claim(plan: RoomsPlan, folder: Path) -> tuple[Room, ...]:
         _describe(plan, folder, [])
         return ()
     found = open_collection(folder).record
-    asked = {"family": f"{plan.family.name} ({plan.family.sha256[:8]})", **plan.options}
+    asked = {"family": f"{plan.family.name} ({plan.family.sha256[:8]})", **plan.common}
     holds = {"family": f"{found.name} ({found.family_sha256[:8]})", **found.options}
     for job, carrier_hz in ((asked, plan.carrier_hz), (holds, found.carrier_hz)):
         job["carrier_hz"] = f"{len(carrier_hz)}: {carrier_hz}"
@@ -245,7 +204,7 @@ def _describe(plan: RoomsPlan, folder: Path, rooms: Sequence[Room]) -> Collectio
         rooms,
         name=plan.family.name,
         family=plan.family.recipe,
-        options=plan.options,
+        options=plan.common,
         carrier_hz=plan.carrier_hz,
         held_out_types=plan.family.held_out_types,
     )

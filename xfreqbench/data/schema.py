@@ -90,10 +90,21 @@ class DatasetHeader:
         return self
 
     @property
+    def num_carriers(self) -> int:
+        """Number of carriers F."""
+        return len(self.carrier_hz)
+
+    @property
+    def link_names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Receivers and pairs of polarizations (`VH`: sent in V and heard in H); empty where there is one alone."""
+        return self.receivers, self.polarizations
+
+    @property
     def link_axes(self) -> dict[str, int]:
         """The axes between transmitter and carrier, with their lengths: empty for a file of one link."""
-        counts = {RECEIVER: len(self.receivers), POLARIZATION: len(self.polarizations)}
-        return {axis: count for axis, count in counts.items() if count}
+        return {
+            axis: len(names) for axis, names in zip((RECEIVER, POLARIZATION), self.link_names, strict=True) if names
+        }
 
     def link(self, receiver: str | None = None, polarization: str | None = None) -> tuple[int, int]:
         """The numbers of a receiver and of a pair of polarizations, the first without a name.

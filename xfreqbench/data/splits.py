@@ -49,13 +49,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import InstanceOf
 
-from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.dataset import PasDataset, isolated
 from xfreqbench.data.validation import (
     LEAST_TRAINING_CARRIERS,
     LEAST_TRAINING_TX,
     VALIDATION_SHARE,
     drawn_tx,
     inner_carriers_hz,
+    place_index,
     validation_tx,
 )
 from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
@@ -119,7 +120,8 @@ class Split:
                 f"Split {name!r} has {len(train)} samples to train on and {len(test)} to test on: too few "
                 "transmitters receive a path. Generate more transmitters."
             )
-        shared = bool(np.isin(dataset.place_index[test], dataset.place_index[train]).any())
+        places = place_index(dataset)
+        shared = bool(np.isin(places[test], places[train]).any())
         num_without_path = int((tested & ~dataset.has_path).sum())
         trained_positions = KDTree(np.unique(dataset.tx_position_m[train], axis=0))
         distance_m = float(np.median(trained_positions.query(dataset.tx_position_m[test])[0]))
@@ -153,9 +155,9 @@ class Split:
 
     def training_part(self, dataset: PasDataset) -> PasDataset:
         """What a method is given to train on, of the data set that the split was made of."""
-        train = dataset.subset(self.train).isolated()
+        train = isolated(dataset[self.train])
         others = (dataset.at(name) for name, _ in self.receivers)
-        return replace(train, other_receivers=tuple(other.subset(other.has_path).isolated() for other in others))
+        return replace(train, other_receivers=tuple(isolated(other[other.has_path]) for other in others))
 
 
 def _require_directions(dataset: PasDataset) -> None:
@@ -211,14 +213,14 @@ def _sparse_error(dataset: PasDataset, trainings: Sequence[Sequence[float]]) -> 
 
 def _held_out_receiver_splits(dataset: PasDataset) -> list[Split]:
     """One split, of the receiver that is shown; raises `ProtocolError` for a file of one, or where nothing is heard."""
-    held_out = dataset.link_names[0]
+    held_out = dataset.link[0]
     if held_out is None:
         raise ProtocolError(
             f"Protocol {HELD_OUT_RECEIVER!r} needs a file of several receivers, but {dataset.path} holds one. Generate "
             "it with --receiver all, in a scene of several [[receiver]]."
         )
     _require_directions(dataset)
-    others = {name: dataset.at(name) for name in dataset.receivers if name != held_out}
+    others = {name: dataset.at(name) for name in dataset.file_header.receivers if name != held_out}
     test = np.flatnonzero(dataset.has_path)
     if not len(test) or not any(other.has_path.any() for other in others.values()):
         raise ProtocolError(f"No path arrives at receiver {held_out!r}, or none at any other: nothing can be tested.")
@@ -275,7 +277,7 @@ def make_splits(
     if protocol == HELD_OUT_RECEIVER:
         raise ProtocolError(f"Protocol {protocol!r} has no validation rows: choose settings on another protocol.")
     if protocol == "sparse":
-        inner = [split for split in splits if len(inner_carriers_hz(dataset.subset(split.train)))]
+        inner = [split for split in splits if len(inner_carriers_hz(dataset[split.train]))]
         if not inner:
             trainings = [list(map(ghz_to_hz, carriers_ghz)) for carriers_ghz in SPARSE_TRAINING_GHZ[1:]]
             raise _sparse_error(dataset, trainings)
@@ -340,8 +342,9 @@ def _lofo_splits(dataset: PasDataset, protocol: str, targets_hz: Sequence[float]
 
 def _tx_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[Mask, Mask]:
     """Which of the offered samples are trained on, and which are tested: those of a share of the transmitters."""
-    number = max(1, round(share * len(np.unique(dataset.place_index))))
-    unseen = np.isin(dataset.place_index, drawn_tx(dataset, np.random.default_rng(_SEED), number))
+    places = place_index(dataset)
+    number = max(1, round(share * len(np.unique(places))))
+    unseen = np.isin(places, drawn_tx(dataset, np.random.default_rng(_SEED), number))
     return is_offered & ~unseen, is_offered & unseen
 
 
@@ -352,7 +355,7 @@ def _sample_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[
     """
     carrier_hz, carrier = np.unique(dataset.carrier_hz, return_inverse=True)
     is_new = ~np.isclose(carrier_hz[1:], carrier_hz[:-1], rtol=SAME_CARRIER, atol=0)
-    sample = dataset.place_index * len(carrier_hz) + np.concatenate([[0], np.cumsum(is_new)])[carrier]
+    sample = place_index(dataset) * len(carrier_hz) + np.concatenate([[0], np.cumsum(is_new)])[carrier]
     offered = np.flatnonzero(is_offered)
     first = offered[np.sort(np.unique(sample[offered], return_index=True)[1])]
     number = max(1, round(share * len(first)))
@@ -369,7 +372,7 @@ def _block_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[M
     """
     from scipy.spatial import KDTree
 
-    places, first = np.unique(dataset.place_index[is_offered], return_index=True)
+    places, first = np.unique(place_index(dataset)[is_offered], return_index=True)
     position_m = dataset.tx_position_m[is_offered][first]
     num_blocks = min(NUM_BLOCKS, len(places))
     num_tested = max(1, round(share * num_blocks))
@@ -377,7 +380,7 @@ def _block_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[M
     is_tested = np.isin(blocks(position_m[:, :2], num_blocks), tested)
     is_near = KDTree(position_m[is_tested]).query(position_m)[0] < BLOCK_MARGIN_M
     trained, tested = places[~is_tested & ~is_near], places[is_tested]
-    return np.isin(dataset.place_index, trained), np.isin(dataset.place_index, tested)
+    return np.isin(place_index(dataset), trained), np.isin(place_index(dataset), tested)
 
 
 _MASKS = {"held-out-tx": _tx_masks, "held-out-block": _block_masks, "random-samples": _sample_masks}
@@ -408,8 +411,9 @@ def _validation_split(dataset: PasDataset, split: Split) -> Split:
     if split.protocol == "random-samples":
         masks = _sample_masks(dataset, is_offered, VALIDATION_SHARE)
     elif split.protocol == "held-out-block":
-        _require_training_tx(dataset.subset(split.train), name)
-        of_trained = np.isin(dataset.place_index, dataset.place_index[split.train])
+        _require_training_tx(dataset[split.train], name)
+        places = place_index(dataset)
+        of_trained = np.isin(places, places[split.train])
         masks = _block_masks(dataset, of_trained, VALIDATION_SHARE)
     else:
         masks = _unseen_masks(dataset, split, name, is_offered)
@@ -418,9 +422,9 @@ def _validation_split(dataset: PasDataset, split: Split) -> Split:
 
 def _unseen_masks(dataset: PasDataset, split: Split, name: str, is_offered: Mask) -> tuple[Mask, Mask]:
     """Which samples are trained on, and which are tested: at a held-out carrier, of held-out transmitters, or both."""
-    train = dataset.subset(split.train)
+    train = dataset[split.train]
     at_held_out = np.isin(dataset.carrier_hz, train.carrier_hz)
-    of_held_out = np.isin(dataset.place_index, train.place_index)
+    of_held_out = np.isin(place_index(dataset), place_index(train))
     is_left = is_offered
     if split.protocol in _AT_UNSEEN_CARRIERS:
         held_out_hz = _validation_carrier_hz(train, name, dataset.carrier_hz[split.test[0]])
@@ -428,13 +432,13 @@ def _unseen_masks(dataset: PasDataset, split: Split, name: str, is_offered: Mask
         is_left = is_left & ~_is_alike(dataset.carrier_hz, held_out_hz)
     if split.protocol in _OF_UNSEEN_TX:
         _require_training_tx(train, name)
-        of_held_out = np.isin(dataset.place_index, validation_tx(train, np.random.default_rng(_SEED)))
+        of_held_out = np.isin(place_index(dataset), validation_tx(train, np.random.default_rng(_SEED)))
         is_left = is_left & ~of_held_out
     return is_left, at_held_out & of_held_out
 
 
 def _require_training_tx(train: PasDataset, name: str) -> None:
-    number = len(np.unique(train.place_index))
+    number = len(np.unique(place_index(train)))
     if number < LEAST_TRAINING_TX:
         raise ProtocolError(
             f"Split {name!r} holds out some of its training transmitters, so that there must be {LEAST_TRAINING_TX} or "

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from pydantic import InstanceOf, PositiveInt
 
 from xfreqbench.data import standards
-from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.dataset import PasDataset, stored_paths
 from xfreqbench.data.retrace import traced_scene
 from xfreqbench.errors import DataError, SceneError
 from xfreqbench.scene.prepared import PreparedScene
@@ -186,9 +186,9 @@ def statistics(dataset: InstanceOf[PasDataset], num_tx: PositiveInt = 200, seed:
     header = dataset.header
     if not header.channels:
         raise DataError(f"{dataset.path} holds maps alone, which say nothing of delays and power.")
-    if dataset.is_isolated:
+    if dataset._is_isolated:
         raise DataError(f"{dataset.path} is shown to methods without its paths.")
-    is_asked = np.zeros((header.num_tx, dataset.num_carriers), bool)
+    is_asked = np.zeros((header.num_tx, dataset.header.num_carriers), bool)
     is_asked.flat[dataset.rows] = True
     tx, carriers = np.flatnonzero(is_asked.any(axis=1)), np.flatnonzero(is_asked.any(axis=0))
     prepared = None
@@ -196,7 +196,7 @@ def statistics(dataset: InstanceOf[PasDataset], num_tx: PositiveInt = 200, seed:
         prepared = PreparedScene.of(traced_scene(dataset))
     receiver_m = np.asarray(header.receiver.position_m, dtype=np.float64)
     if header.paths:
-        paths, traced = dataset.stored_paths()[0], np.arange(header.num_tx)
+        paths, traced = stored_paths(dataset)[0], np.arange(header.num_tx)
         source = f"the stored paths of {len(tx)} transmitters"
     else:
         traced = tx = np.sort(np.random.default_rng(seed).choice(tx, min(num_tx, len(tx)), replace=False))

@@ -58,41 +58,21 @@ class Tracing:
         return prepared
 
 
-def traced(tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
-    """Channel of a batch of transmitters; the batch's index is for the caller, who finds the result by it."""
-    _, tx_position_m = batch
-    return channel_by(_tracers(tracing), tracing, tx_position_m)
+def traced(
+    tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]], software: Mapping[str, str] | None = None
+) -> Channel:
+    """Channel of a batch of transmitters, with the paths where they are asked for.
 
-
-def traced_alike(tracing: Tracing, software: Mapping[str, str], batch: tuple[int, Float[FloatArray, "T 3"]]) -> Channel:
-    """As `traced`, for a driver with some versions of software; raises `ClusterError` where this process has others."""
-    if differing := differences(software, _software(tracing.settings.solver)):
+    An axis of receivers and one of pairs of polarizations follow the transmitters, each where there are several. The
+    batch's index is for the caller, who finds the result by it. A driver elsewhere says which versions of `software` it
+    has: raises `ClusterError` where this process has others.
+    """
+    if software is not None and (differing := differences(software, _software(tracing.settings.solver))):
         raise ClusterError(
             f"A worker on {platform.node()} traces with other software: {differing}. Install the same versions on both."
         )
-    return traced(tracing, batch)
-
-
-_software = cache(software_versions)
-
-
-def tracers_of(tracing: Tracing, settings: TraceSettings) -> list[list[Tracer]]:
-    """A tracer for each pair of polarizations of every receiver: those of one receiver share what rays have found."""
-    prepared = tracing.prepared()
-    tracers = []
-    for receiver in prepared.scene.receivers:
-        scene = replace(prepared.scene, receiver=receiver, other_receivers=())
-        first, *others = [scene.with_polarization(pair) for pair in tracing.polarizations] or [scene]
-        tracer = tracer_of(PreparedScene(first, prepared.geometry), tracing.carrier_hz, settings)
-        tracers.append([tracer, *map(tracer.with_antennas, others)])
-    return tracers
-
-
-def channel_by(tracers: list[list[Tracer]], tracing: Tracing, tx_position_m: Float[FloatArray, "T 3"]) -> Channel:
-    """Channel of T transmitters by tracers of that scene, with the paths where they are asked for.
-
-    An axis of receivers and one of pairs of polarizations follow the transmitters, each where there are several.
-    """
+    tracers = _tracers(tracing)
+    _, tx_position_m = batch
     found = [[tracer.channel(tx_position_m) for tracer in of_receiver] for of_receiver in tracers]
     counts = [len(tracers)] * (len(tracers) > 1) + [len(tracers[0])] * (len(tracers[0]) > 1)
 
@@ -117,6 +97,17 @@ def forget_rays() -> None:
     _tracers.cache_clear()
 
 
+_software = cache(software_versions)
+
+
 @lru_cache(maxsize=1)
 def _tracers(tracing: Tracing) -> list[list[Tracer]]:
-    return tracers_of(tracing, tracing.settings)
+    """A tracer for each pair of polarizations of every receiver: those of one receiver share what rays have found."""
+    prepared = tracing.prepared()
+    tracers = []
+    for receiver in prepared.scene.receivers:
+        scene = replace(prepared.scene, receiver=receiver, other_receivers=())
+        first, *others = [scene.with_polarization(pair) for pair in tracing.polarizations] or [scene]
+        tracer = tracer_of(PreparedScene(first, prepared.geometry), tracing.carrier_hz, tracing.settings)
+        tracers.append([tracer, *map(tracer.with_antennas, others)])
+    return tracers

@@ -26,7 +26,7 @@ from jaxtyping import Int
 from scipy.spatial import KDTree
 
 from xfreqbench.data.collection import Collection, Part, Room
-from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.dataset import PasDataset, isolated
 from xfreqbench.errors import ProtocolError, UnknownNameError
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.system.files import json_sha256
@@ -122,7 +122,7 @@ class RoomQuestion:
     @cached_property
     def asked(self) -> PasDataset:
         """The samples that are asked for, with their true maps: sixteen transmitters at six carriers."""
-        return self.room.subset(self._rows(self._drawn[1], (*HEARD_GHZ, *ASKED_GHZ)))
+        return self.room[self._rows(self._drawn[1], (*HEARD_GHZ, *ASKED_GHZ))]
 
     @cached_property
     def heard(self) -> PasDataset:
@@ -132,9 +132,9 @@ class RoomQuestion:
         """
         tx = np.sort(self._drawn[0])
         rows = self._rows(tx, HEARD_GHZ)
-        given = self.room.subset(rows).isolated()
+        given = isolated(self.room[rows])
         tables = {name: table[tx] for name, table in given.tables.items()}
-        num_carriers = self.room.num_carriers
+        num_carriers = self.room.header.num_carriers
         kept = np.searchsorted(tx, rows // num_carriers) * num_carriers + rows % num_carriers
         plan = _plan(self.room) if self.plan_told else None
         header = replace(

@@ -6,10 +6,22 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.scene.patches import components
 from xfreqbench.types import FloatArray, IntArray
 
 VALIDATION_SHARE, LEAST_VALIDATION_TX = 0.1, 4  # of the training transmitters
 LEAST_TRAINING_TX, LEAST_TRAINING_CARRIERS = 10, 3  # with fewer, nothing is held out for validation
+
+
+def place_index(dataset: PasDataset) -> Int[IntArray, "N"]:
+    """Index of the first transmitter at each sample's place: those within a millimetre of each other have one."""
+    from scipy.spatial import KDTree
+
+    position_m, of_tx = np.unique(dataset.tables["tx_position_m"], axis=0, return_inverse=True)
+    near = KDTree(position_m).query_pairs(1e-3, output_type="ndarray")
+    place_of_tx = components(near[:, 0], near[:, 1], len(position_m))[of_tx.ravel()]
+    _, first, place = np.unique(place_of_tx, return_index=True, return_inverse=True)
+    return first[place][dataset.tx_index]
 
 
 def inner_carriers_hz(train: PasDataset) -> Float[FloatArray, "F"]:
@@ -24,7 +36,7 @@ def validation_tx(
 
     They are `least` at least, and `most` at most if it is given; none of fewer than `LEAST_TRAINING_TX`.
     """
-    number = len(np.unique(train.place_index))
+    number = len(np.unique(place_index(train)))
     if number < LEAST_TRAINING_TX:
         return np.empty(0, np.int64)
     tenth = int(VALIDATION_SHARE * number)
@@ -33,5 +45,5 @@ def validation_tx(
 
 def drawn_tx(dataset: PasDataset, generator: np.random.Generator, number: int) -> Int[IntArray, "t"]:
     """So many places of a data set's transmitters, drawn by `generator`, by `place_index`."""
-    places = np.unique(dataset.place_index)
+    places = np.unique(place_index(dataset))
     return places[generator.permutation(len(places))[:number]]

@@ -19,7 +19,7 @@ def plot(data: PasDataset, sample: int) -> Any:
 
     `figure.savefig("map.png")` writes it, and a notebook shows it. Raises as `PasDataset.pas` does.
     """
-    one = data.subset(sample)
+    one = data[[sample]]
     place = ", ".join(f"{metres:.2f}" for metres in one.tx_position_m[0])
     title = f"{format_ghz(one.carrier_hz[0])}, transmitter at ({place}) m"
     return map_figure(power_of(one.pas(), data.header.pas_kind)[0], data.grid, title)
@@ -39,8 +39,9 @@ def to_xarray(data: PasDataset) -> Any:
     dims = {"pas": ("sample", ELEVATION, AZIMUTH), "cfr": ("sample", ELEMENT), "tx_position_m": ("sample", AXIS)}
     of_file = {variable.name: variable for variable in variables(data.header, data.grid)}
     where = {TX: data.tx_index, CARRIER: data.carrier_hz, "tx_position_m": data.tx_position_m}
-    names = ("line_of_sight", "peak_power", "num_paths", *(["cfr"] if data.header.channels else []))
-    of_samples = where | {name: getattr(data, name) for name in names} | {"pas": data.pas()}
+    of_samples = where | {"line_of_sight": data.tables["line_of_sight"][data.tx_index]}
+    of_samples |= {name: data.tables[name].flat[data.rows] for name in ("peak_power", "num_paths")}
+    of_samples |= ({"cfr": data.cfr} if data.header.channels else {}) | {"pas": data.pas()}
     about = {name: {"units": of_file[name].units, "long_name": of_file[name].long_name} for name in of_samples}
     arrays = {name: (dims.get(name, "sample"), values, about[name]) for name, values in of_samples.items()}
     angles = {ELEVATION: np.degrees(data.grid.elevation_rad), AZIMUTH: np.degrees(data.grid.azimuth_rad)}

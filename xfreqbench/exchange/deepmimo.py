@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.dataset import PasDataset, open_dataset, stored_paths
 from xfreqbench.data.retrace import traced_scene
 from xfreqbench.exchange.path_arrays import PaddedPaths, carrier_names
 from xfreqbench.scene.imported import Slab
@@ -44,7 +44,7 @@ def export_deepmimo(path: Path, folder: Path, progress: ProgressCallback = ignor
     """
     require_empty(folder)
     dataset = open_dataset(path)
-    paths, _ = dataset.stored_paths()
+    paths, _ = stored_paths(dataset)
     meshes = surface_meshes(traced_scene(dataset))
     with atomic_folder(folder) as temporary, storage_errors(folder):
         for carrier, carrier_hz, name in carrier_names(dataset):
@@ -65,7 +65,7 @@ def export_deepmimo(path: Path, folder: Path, progress: ProgressCallback = ignor
                 "scene": scene,
             }
             (scenario / "params.json").write_text(json.dumps(parameters, indent=2), encoding="utf-8")
-            progress(carrier + 1, dataset.num_carriers)
+            progress(carrier + 1, dataset.header.num_carriers)
     return dataset
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.dataset import PasDataset, links, open_dataset, stored_paths
+from xfreqbench.data.power import power_db, received_power_dbm
 from xfreqbench.data.statistics import of_paths
 from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.system.files import atomic_path, require_own, storage_errors, write_columns
@@ -38,10 +40,10 @@ def export_link_table(
     if output.suffix == ".parquet":
         pyarrow_here()
     dataset = open_dataset(path)
-    links, parts = list(dataset.links()), []
-    for done, link in enumerate(links, start=1):
+    num_links, parts = prod(map(len, filter(None, dataset.file_header.link_names))), []
+    for done, link in enumerate(links(dataset), start=1):
         parts.append(link_columns(link, transmit_power_dbm))
-        progress(done, len(links))
+        progress(done, num_links)
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     with atomic_path(output) as temporary, storage_errors(output):
         if output.suffix == ".parquet":
@@ -56,14 +58,14 @@ def link_columns(dataset: PasDataset, transmit_power_dbm: float | None = None) -
 
     `gain_db` is received over transmitted power, the mean over the array, and `received_power_dbm` is that at a
     transmitter's power, by default the one that the scene states. `local_mean_db` and what follows are of stored paths,
-    as in `PasDataset.local_mean_db` and `LinkStatistics`. Raises `DataError` for a data set of maps alone.
+    as in `power_db` and `LinkStatistics`. Raises `DataError` for a data set of maps alone.
     """
-    header, carrier = dataset.header, dataset.rows % dataset.num_carriers
-    receiver, pair = dataset.link_names
+    header, carrier = dataset.header, dataset.rows % dataset.header.num_carriers
+    receiver, pair = dataset.link
     sent = header.settings.get("transmitter_polarization", header.receiver.polarization)
     position_m, unknown = dataset.tx_position_m, np.full(len(dataset), np.nan)
     try:
-        received_dbm = dataset.received_power_dbm(transmit_power_dbm)
+        received_dbm = received_power_dbm(dataset, transmit_power_dbm)
     except DataError:
         received_dbm = unknown
     columns = {
@@ -76,15 +78,15 @@ def link_columns(dataset: PasDataset, transmit_power_dbm: float | None = None) -
         "carrier_hz": dataset.carrier_hz,
         "carrier_ghz": dataset.carrier_hz / 1e9,
         "distance_m": np.linalg.norm(position_m - header.receiver.position_m, axis=1),
-        "in_sight": dataset.line_of_sight,
-        "gain_db": dataset.power_db,
+        "in_sight": dataset.tables["line_of_sight"][dataset.tx_index],
+        "gain_db": power_db(dataset),
         "received_power_dbm": received_dbm,
-        "local_mean_db": dataset.local_mean_db() if header.paths else unknown,
+        "local_mean_db": power_db(dataset, 1.0) if header.paths else unknown,
         **dict.fromkeys(_OF_PATHS, unknown),
     }
     if header.paths:
-        paths = dataset.stored_paths()[0]
-        found = [of_paths(paths, number) for number in range(dataset.num_carriers)]
+        paths = stored_paths(dataset)[0]
+        found = [of_paths(paths, number) for number in range(dataset.header.num_carriers)]
         for column, (name, scale) in _OF_PATHS.items():
             columns[column] = np.stack([each[name] for each in found], axis=1)[dataset.tx_index, carrier] * scale
     return columns

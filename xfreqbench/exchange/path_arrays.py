@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Shaped
 
-from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.dataset import PasDataset, open_dataset, stored_paths
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.types import FloatArray, IntArray, NDArray, ProgressCallback, ignore_progress
@@ -87,7 +87,7 @@ def export_sionna_npz(path: Path, folder: Path, progress: ProgressCallback = ign
     """
     require_empty(folder)
     dataset = open_dataset(path)
-    paths, surface_names = dataset.stored_paths()
+    paths, surface_names = stored_paths(dataset)
     with atomic_folder(folder) as temporary, storage_errors(folder):
         for carrier, carrier_hz, name in carrier_names(dataset):
             padded = PaddedPaths(paths, carrier)
@@ -114,5 +114,5 @@ def export_sionna_npz(path: Path, folder: Path, progress: ProgressCallback = ign
                 **{key: table[None] for key, table in tables.items()},
                 **{key: np.moveaxis(table, 2, 0)[:, None] for key, table in along.items()},
             )
-            progress(carrier + 1, dataset.num_carriers)
+            progress(carrier + 1, dataset.header.num_carriers)
     return dataset

@@ -110,7 +110,7 @@ def export_png_folder(
             _write_texts(temporary, dataset, convention)
         done = 0
         for rows, levels in _levels(dataset, convention):
-            transmitter, carrier = np.divmod(dataset.rows[rows], dataset.num_carriers)
+            transmitter, carrier = np.divmod(dataset.rows[rows], dataset.header.num_carriers)
             numbers = carrier * dataset.header.num_tx + transmitter + 1  # carrier by carrier, as others do
             for number, image in zip(numbers.tolist(), levels, strict=True):
                 write_levels(map_path(temporary, number), image)
@@ -127,11 +127,12 @@ def _levels(
     beam = BartlettBeam(dataset.beam.element_position_wavelengths, grid)
     for start in range(0, len(dataset), _BATCH):
         rows = np.arange(start, min(start + _BATCH, len(dataset)))
-        part = dataset.subset(rows)
+        part = dataset[rows]
         if part.header.channels:
             maps = _evaluated(part, beam, convention)
         else:  # as bright as they were published
-            maps = part.pas() * convention.brightest(part.peak_power).clip(0, 1)[:, None, None]
+            peak_power = part.tables["peak_power"].flat[part.rows]
+            maps = part.pas() * convention.brightest(peak_power).clip(0, 1)[:, None, None]
         yield rows, convention.ascending(np.rint(maps * BRIGHTEST).astype(np.uint8))
 
 
@@ -148,7 +149,7 @@ def _evaluated(dataset: PasDataset, beam: BartlettBeam, convention: Convention) 
 
 def _write_texts(folder: Path, dataset: PasDataset, convention: Convention) -> None:
     header = dataset.header
-    position_m = dataset.tables["tx_position_m"].tolist() * dataset.num_carriers
+    position_m = dataset.tables["tx_position_m"].tolist() * dataset.header.num_carriers
     lines = ["x,y,z", *(",".join(map(repr, position)) for position in position_m)]
     (folder / POSITIONS).write_text("\n".join(lines) + "\n", encoding="utf-8")
     carrier_ghz = np.repeat(header.carrier_hz / 1e9, header.num_tx).tolist()

@@ -317,7 +317,7 @@ def _check_dataset(place: str, group: Any, shape: tuple[int, int, int]) -> None:
 
 def _check_coordinates(place: str, group: Any, dataset: PasDataset, split: Split) -> None:
     """Raise `DataError` where coordinates beside the maps are not those of the split, in its order."""
-    tested, grid = dataset.subset(split.test), dataset.grid
+    tested, grid = dataset[split.test], dataset.grid
     known = {"row": split.test, "tx_position_m": tested.tx_position_m, "carrier_hz": tested.carrier_hz}
     known |= {f"test_{name}": values for name, values in known.items()} | {"sample": split.test}
     known |= {"elevation_deg": np.degrees(grid.elevation_rad), "azimuth_deg": np.degrees(grid.azimuth_rad)}

@@ -117,7 +117,8 @@ def _columns(data: PasDataset | Collection, numbers: IntArray) -> Columns:
 
 
 def _columns_of(part: PasDataset) -> Columns:
-    columns = {name: getattr(part, name) for name in ("tx_position_m", "carrier_hz", "peak_power")}
+    columns: Columns = {"tx_position_m": part.tx_position_m, "carrier_hz": part.carrier_hz}
+    columns["peak_power"] = part.tables["peak_power"].flat[part.rows]
     if part.header.channels:
         columns |= {"cfr_real": part.cfr.real, "cfr_imag": part.cfr.imag}
     return columns | {"map": part.pas().astype(np.float16)}

@@ -147,7 +147,7 @@ def _append_known(writer: SealedWriter, dataset: PasDataset, split: Split) -> No
     """Write everything of a split but its maps."""
     values: dict[str, NDArray[Any]] = {variable.name: known for variable, known in geometry(dataset)}
     for part, rows in (("train", split.train), ("test", split.test)):
-        samples = dataset.subset(rows)
+        samples = dataset[rows]
         values[f"{part}_row"] = rows
         values[f"{part}_tx_position_m"] = samples.tx_position_m
         values[f"{part}_carrier_hz"] = samples.carrier_hz

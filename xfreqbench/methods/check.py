@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from xfreqbench.data.collection import Collection, room_of, write_collection
-from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.dataset import PasDataset, isolated
 from xfreqbench.data.plane_waves import RECEIVER, plane_waves, stored_channels
 from xfreqbench.data.unseen_rooms import ASKED_GHZ, HEARD_GHZ, NUM_ASKED, RoomQuestion
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
@@ -188,7 +188,7 @@ class _Trial:
 
     @property
     def test(self) -> PasDataset:
-        return self.dataset.subset(np.flatnonzero(~_is_training(self.dataset)))
+        return self.dataset[np.flatnonzero(~_is_training(self.dataset))]
 
     def fit(
         self,
@@ -215,14 +215,14 @@ class _Trial:
 
     def predict(self, method: Any, rows: Int[IntArray, "B"]) -> Float[NDArray[np.float32], "B E A"]:
         """Predictions for some rows of the data set, checked in the same way as in a run."""
-        asked = self.dataset.subset(rows)
+        asked = self.dataset[rows]
         with chdir(self.working_folder):
             return predict_checked(method, asked.tx_position_m.copy(), asked.carrier_hz.copy(), self.dataset.grid.shape)
 
 
 def _training_rows(dataset: PasDataset) -> PasDataset:
     """The samples that a method is given: all but those of the unseen transmitter or at the unseen carrier."""
-    return dataset.subset(np.flatnonzero(_is_training(dataset))).isolated()
+    return isolated(dataset[np.flatnonzero(_is_training(dataset))])
 
 
 def _is_training(dataset: PasDataset) -> NDArray[np.bool_]:
@@ -374,7 +374,7 @@ def _leak_fault(trial: _Trial) -> str | None:
 
 def _memory_fault(trial: _Trial) -> str | None:
     """Fit to all samples, as for another split, then to the training rows as before, and compare the outcome."""
-    trial.fit_to(trial.dataset.isolated())
+    trial.fit_to(isolated(trial.dataset))
     return trial.difference_fault(
         trial.fit(trial.dataset), _SEED_TOLERANCE, "Keep what is learned in the instance, not in a module or a class."
     )
@@ -502,7 +502,7 @@ class _RoomTrial(_Trial):
 
     def own_row_fault(self) -> str | None:
         question = self.question()
-        alone = _asked_of(self.fitted.adapt(question.heard, _BUDGET), question.asked.subset([1]))
+        alone = _asked_of(self.fitted.adapt(question.heard, _BUDGET), question.asked[[1]])
         return _difference_fault(alone, self.maps[[1]], _BATCH_TOLERANCE, _OWN_ROW)
 
     def next_room_fault(self) -> str | None:

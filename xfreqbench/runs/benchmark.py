@@ -18,8 +18,9 @@ from typing import Literal
 from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.options import GenerateOptions
 from xfreqbench.data.plan import Plan, plan_generation
-from xfreqbench.data.rooms import MAX_DEPTH, RAYS, RoomsPlan, generate_planned_rooms, plan_of_rooms
+from xfreqbench.data.rooms import RoomsPlan, generate_planned_rooms, plan_rooms
 from xfreqbench.data.splits import LOFO_TARGETS_GHZ, SPARSE_TRAINING_GHZ
 from xfreqbench.data.unseen_rooms import NUMS_HEARD, ROOM_PROTOCOLS
 from xfreqbench.errors import RunsFailedError, UnknownNameError
@@ -32,15 +33,12 @@ from xfreqbench.runs.presets import BENCHES, COSTS, PRESETS, Block, Preset, Sett
 from xfreqbench.runs.progress import RunProgress
 from xfreqbench.runs.records import BenchRecord, Job
 from xfreqbench.runs.run import imports_of, run_jobs
-from xfreqbench.scene.model import load_scene
 from xfreqbench.system.files import require_text
 from xfreqbench.system.processes import SERIAL, LocalProcesses, all_cores, open_workers, own_cores
 from xfreqbench.system.workers import HERE, Workers
-from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
+from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION
 from xfreqbench.types import ProgressCallback, ignore_progress
-from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
-
-_PAPER_HZ = tuple(map(ghz_to_hz, PAPER_CARRIERS_GHZ))
+from xfreqbench.units import PAPER_CARRIERS_GHZ
 
 _TESTED_ROOMS = 107  # of a thousand
 
@@ -74,19 +72,16 @@ class Benchmark:
     @cached_property
     def rooms_plans(self) -> dict[str, RoomsPlan]:
         """The plan of every collection of rooms, by the name of the family."""
-        settings = TraceSettings(interactions=WITHOUT_DIFFRACTION, max_depth=MAX_DEPTH, rays=RAYS)
+        num_tx, traced = self.preset.num_tx, WITHOUT_DIFFRACTION
         return {
-            name: plan_of_rooms(name, PAPER_CARRIERS_GHZ, settings, rooms=number, tx=self.preset.num_tx[name])
+            name: plan_rooms(name, GenerateOptions(rooms=number, tx=num_tx[name], interactions=traced))
             for name, number in self.preset.num_rooms.items()
         }
 
     @cached_property
     def plans(self) -> dict[str, Plan]:
         """The plan of every scene's data set, by the name of the scene."""
-        return {
-            name: plan_generation(load_scene(name), _PAPER_HZ, num_transmitters=self.preset.num_tx.get(name))
-            for name in self.scenes
-        }
+        return {name: plan_generation(name, GenerateOptions(tx=self.preset.num_tx.get(name))) for name in self.scenes}
 
     def data_path(self, scene: str) -> Path:
         """The file of a scene's data set; if the preset limits its transmitters, their number is in the name.

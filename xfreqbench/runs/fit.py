@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.dataset import PasDataset, isolated
 from xfreqbench.errors import DivergenceError, InUseError, XFreqBenchError
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.methods.contract import Budget
@@ -126,7 +126,7 @@ class _TaskFit:
         sampled = curve_positions(self._task.split.sha256, len(test))
         scores = []
         for rows in np.split(sampled, range(BATCH_SIZE, len(sampled), BATCH_SIZE)):
-            asked = test.subset(rows)
+            asked = test[rows]
             predicted = predict_checked(self.method, asked.tx_position_m, asked.carrier_hz, test.grid.shape)
             scores.append(ssim(predicted, asked.pas(), test.grid))
         return np.concatenate(scores)
@@ -149,4 +149,4 @@ class _TaskFit:
 
 def _few(train: PasDataset) -> PasDataset:
     """A copy of the samples of the first transmitters of a training part."""
-    return train.subset(np.isin(train.tx_index, np.unique(train.tx_index)[:_WARM_UP_TX])).isolated()
+    return isolated(train[np.isin(train.tx_index, np.unique(train.tx_index)[:_WARM_UP_TX])])

@@ -121,10 +121,9 @@ class Task:
         """What a user may not expect: tested carriers outside of the training band, absent splits, one link of many."""
         if isinstance(self.split, RoomSplit):
             return []
-        receivers = () if self.split.receivers else self.dataset.receivers
-        axes = zip(
-            ("receiver", "polarization"), self.dataset.link_names, (receivers, self.dataset.polarizations), strict=True
-        )
+        known = self.dataset.file_header
+        names = (() if self.split.receivers else known.receivers), known.polarizations
+        axes = zip(("receiver", "polarization"), self.dataset.link, names, strict=True)
         links = [
             f"methods see {axis} {shown} of {', '.join(names)}; option {axis} chooses another"
             for axis, shown, names in axes
@@ -150,7 +149,7 @@ class Task:
             for question in self.split.questions():
                 yield Question(question.asked, question.heard, f"in room {question.room.path.name}")
         else:
-            yield Question(self.dataset.subset(self.split.test), None, f"on split {self.split.name!r}")
+            yield Question(self.dataset[self.split.test], None, f"on split {self.split.name!r}")
 
     def new_method(self) -> Any:
         """Another untrained method, to be fitted: what it learns is freed with it, while tasks live longer."""
@@ -185,7 +184,7 @@ def tasks_of(
         splits: Sequence[Split | RoomSplit] = room_splits(opened, protocol, on)
         link: tuple[str | None, ...] = ()
     else:
-        splits, link = make_splits(opened, protocol, targets_ghz, on), opened.link_names
+        splits, link = make_splits(opened, protocol, targets_ghz, on), opened.link
     tasks = []
     for name, options in methods:
         for seed in seeds:

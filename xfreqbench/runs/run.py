@@ -121,13 +121,13 @@ def asked_tasks(
 ) -> list[Task]:
     """The tasks of a call of `run`; raises what is wrong with its arguments."""
     if isinstance(data, PasDataset):
-        num_samples = data.header.num_tx * data.num_carriers
+        num_samples = data.header.num_tx * data.header.num_carriers
         if len(data) != num_samples:
             raise XFreqBenchError(
                 f"Protocols split whole data sets, but a subset of {len(data)} of the {num_samples} samples of "
                 f"{data.path} was given. Give the whole data set, or its path."
             )
-        shown, data = data.link_names, data.path
+        shown, data = data.link, data.path
         receiver, polarization = receiver or shown[0], polarization or shown[1]
     if not isinstance(methods, Mapping):
         methods = dict.fromkeys(methods, ())
@@ -153,8 +153,8 @@ def asked_tasks(
         )
     dataset = open_dataset(data, receiver, polarization)
     tested = [dataset]
-    if protocol == HELD_OUT_RECEIVER and receiver is None and dataset.receivers:
-        tested = [dataset.at(name) for name in dataset.receivers]
+    if protocol == HELD_OUT_RECEIVER and receiver is None and dataset.file_header.receivers:
+        tested = [dataset.at(name) for name in dataset.file_header.receivers]
     return [task for part in tested for task in tasks_of(str(data), part, *asked)]
 
 

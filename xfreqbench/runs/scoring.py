@@ -38,7 +38,7 @@ def scored_on_split(dataset: PasDataset, split: Split, predictions: Path) -> dic
 
     Raises `DataError` if the predictions are damaged or of another split.
     """
-    stored, test = read_predictions(predictions), dataset.subset(split.test)
+    stored, test = read_predictions(predictions), dataset[split.test]
     if stored.split_sha256 != split.sha256 or not np.array_equal(stored.rows, split.test):
         raise DataError(f"{predictions} holds predictions of another split. Delete it and run again.")
     scores = _scores(dataset, stored.batches(BATCH_SIZE))

@@ -247,7 +247,7 @@ class TransmitterGrid:
 
     `pattern` and `polarization` are those of all transmitters, also of those put elsewhere; by default the receiver's,
     but `iso` beside a receiver of pattern `tr38901`. `orientation_deg` turns their antennas (see `ReceiverArray`).
-    `power_dbm` is what each transmits, for `PasDataset.received_power_dbm`; no channel depends on it.
+    `power_dbm` is what each transmits, for `received_power_dbm`; no channel depends on it.
     """
 
     min_m: Point

@@ -1,4 +1,7 @@
-"""Arguments of public functions: what they cannot use is refused before any work, in words."""
+"""Arguments of public functions: what they cannot use is refused before any work, in words.
+
+NumPy is not imported here: the command line names these types in its help.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,8 @@ from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from functools import cache, wraps
 from pathlib import Path
-from typing import Annotated, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar
 
-import numpy as np
-from jaxtyping import Float
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -24,8 +25,12 @@ from pydantic import (
 )
 
 from xfreqbench.errors import ArgumentError
-from xfreqbench.types import FloatArray
 from xfreqbench.units import ghz_to_hz
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+    from xfreqbench.types import FloatArray
 
 Taken = ParamSpec("Taken")
 Returned = TypeVar("Returned")
@@ -88,7 +93,7 @@ def _words(function: Callable[..., Any], error: ValidationError) -> str:
 
 def listed(given: Any) -> Any:
     """One number, text or class as a list of one, an array as a list, and anything else as it is."""
-    if isinstance(given, np.ndarray | np.generic):
+    if hasattr(given, "tolist"):
         given = given.tolist()
     return [given] if isinstance(given, int | float | str | type) else given
 
@@ -98,12 +103,14 @@ def _carrier_ghz(carrier_ghz: float) -> float:
     return carrier_ghz
 
 
-def _array(given: Any, shape: str) -> FloatArray:
+def _array(given: Any, shape: str) -> Any:
+    import numpy as np
+
     try:
         found = np.asarray(given, np.float64)
     except (TypeError, ValueError):
         found = np.zeros(0)
-    if found.shape[-1:] != (3,) or not np.isfinite(found).all():
+    if found.ndim > 2 or found.shape[-1:] != (3,) or not np.isfinite(found).all():
         raise ValueError(f"positions are finite numbers in metres, of shape {shape}, as in [2.0, 1.0, 1.5]")
     return found
 
@@ -123,7 +130,9 @@ WholeNumbers = Annotated[
 ]  # seeds: one number is a list of one
 Word = Annotated[str, Field(coerce_numbers_to_str=True)]  # or a number in place of its digits
 Texts = Annotated[Sequence[str], BeforeValidator(listed)]  # one text is a list of one
-Positions = Annotated[  # one is a list of one
-    Float[FloatArray, "T 3"], PlainValidator(lambda given: np.atleast_2d(_array(given, "(T, 3)")))
-]
-Position = Annotated[Float[FloatArray, "3"], PlainValidator(lambda given: _array(given, "(3,)").reshape(3))]
+if TYPE_CHECKING:
+    Positions = Float[FloatArray, "T 3"]
+    Position = Float[FloatArray, "3"]
+else:  # one position is a list of one
+    Positions = Annotated[Any, PlainValidator(lambda given: _array(given, "(T, 3)").reshape(-1, 3))]
+    Position = Annotated[Any, PlainValidator(lambda given: _array(given, "(3,)").reshape(3))]

@@ -125,7 +125,7 @@ class VirtualSourceField(ChannelField):
         receiver = train.header.receiver
         self.array_m.copy_(torch.as_tensor(receiver.position_m, dtype=torch.float64))
         antenna = (receiver.pattern, receiver.polarization)
-        heard = train.subset(np.flatnonzero(train.has_path))
+        heard = train[np.flatnonzero(train.has_path)]
         self.room.enter(antenna, self.offsets(heard.tx_position_m), torch.as_tensor(heard.carrier_hz))
         self.scaling.adapt(train)
         seed, planes = int(torch.randint(2**31, (), generator=generator)), list[Plane]()

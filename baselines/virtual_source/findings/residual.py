@@ -211,12 +211,12 @@ def plan_residual(results: Path, compared: ComparedFindings, num_tx: int) -> Res
             label = f"{other.job.method}, the best trivial predictor"
             predicted[label] = load_predictions(results, other, rows.tolist())
             break
-    return ResidualPlan(compared, settings, dataset.subset(rows), predicted)
+    return ResidualPlan(compared, settings, dataset[rows], predicted)
 
 
 def drawn_rows(dataset: PasDataset, tested: Int[IntArray, "n"], num_tx: int) -> Int[IntArray, "m"]:
     """The tested rows of `num_tx` transmitters that are drawn at random, of all where there are fewer; ascending."""
-    tx = tested // dataset.num_carriers
+    tx = tested // dataset.header.num_carriers
     chosen = np.random.default_rng(DRAW_SEED).permutation(np.unique(tx))[:num_tx]
     return np.sort(tested[np.isin(tx, chosen)])
 
@@ -258,7 +258,7 @@ def _channels(
         paths = tracer.paths(tx_m)
         kinds = path_kinds(paths, tx_m, plan.compared.findings)
         kept = np.array([selection.keeps(kinds) for selection in SELECTIONS])
-        for row, carrier in zip(rows, samples.rows[rows] % samples.num_carriers, strict=True):
+        for row, carrier in zip(rows, samples.rows[rows] % samples.header.num_carriers, strict=True):
             channels[row] = kept @ spherical_waves(paths, int(carrier), scene.receiver)
             power = np.abs(paths.gain[carrier]) ** 2
             is_left = kinds.is_diffracted | ~kinds.is_found
@@ -269,7 +269,7 @@ def _channels(
 
 def score_rows(residual: Residual) -> Table:
     """A row for what was predicted, and one for each selection of true paths; medians over maps."""
-    in_sight = residual.samples.line_of_sight
+    in_sight = residual.samples.tables["line_of_sight"][residual.samples.tx_index]
     return ("map of", "SSIM", "in sight", "shadowed", "PSNR (dB)"), [
         (label, *_medians_by_sight(ssim, in_sight), number(_median(psnr), 2))
         for label, (ssim, psnr) in residual.scores.items()
@@ -284,7 +284,7 @@ def group_rows(residual: Residual) -> Table:
     """
     by_transmitter = rows_by_transmitter(residual.samples)
     share = np.array([residual.share_not_found[rows].mean() for rows in by_transmitter])
-    in_sight = residual.samples.line_of_sight
+    in_sight = residual.samples.tables["line_of_sight"][residual.samples.tx_index]
     is_seen = np.array([in_sight[rows[0]] for rows in by_transmitter])
     quarters = np.array_split(share.argsort(kind="stable"), 4)
     groups = {f"quarter {index} by share not found": rows for index, rows in enumerate(quarters, start=1)}

@@ -49,7 +49,7 @@ def refinement_of(compared: ComparedFindings) -> Refinement:
     faces, or data whose interactions the image method does not trace in a room.
     """
     dataset, job = compared.dataset, compared.record.job
-    train = dataset.subset(find_split(dataset, job.protocol, job.split).train)
+    train = dataset[find_split(dataset, job.protocol, job.split).train]
     refinement = Refinement.of(compared.findings, train)
     if refinement is None:
         raise DataError(
@@ -78,7 +78,7 @@ def score_rooms(
     dataset, record = compared.dataset, compared.record
     tested = find_split(dataset, record.job.protocol, record.job.split).test
     rows = drawn_rows(dataset, tested, NUM_TESTED_TX)
-    samples = dataset.subset(rows)
+    samples = dataset[rows]
     truth, scores = samples.pas(), {}
     with suppress(DataError, StorageError):  # not kept, in use, or of other rows
         predicted = load_predictions(results, record, rows.tolist())

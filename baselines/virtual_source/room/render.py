@@ -55,7 +55,7 @@ class LocalWeights:
         """For each of several traced rooms, the comparison with the learned maps of validation rows."""
         similar = [[np.zeros((len(WEIGHTS), 0))] for _ in traced]
         for start in range(0, len(rows), _AT_ONCE):
-            some = rows.subset(slice(start, start + _AT_ONCE))
+            some = rows[start : start + _AT_ONCE]
             asked = some.tx_position_m, some.carrier_hz
             maps, truth = learned(*asked), some.pas()
             for parts, own in zip(similar, traced, strict=True):
@@ -245,4 +245,4 @@ def _split(train: PasDataset) -> tuple[PasDataset, PasDataset]:
     of_third = tx[_THIRD // 2 :: _THIRD]
     is_validating = np.isin(train.tx_index, evenly(of_third, _NUM_TX) if len(of_third) else of_third)
     left, validating = (train.has_path & chosen for chosen in (~is_validating, is_validating))
-    return train.subset(np.flatnonzero(left)), train.subset(np.flatnonzero(validating))
+    return train[np.flatnonzero(left)], train[np.flatnonzero(validating)]

@@ -139,7 +139,7 @@ class RoomScore:
         chosen_hz = carriers[:NUM_CARRIERS] if at_lowest else evenly(carriers, NUM_CARRIERS + 2)[1:-1]
         is_chosen = np.isin(train.carrier_hz, chosen_hz if len(chosen_hz) else carriers)
         is_chosen &= np.isin(train.tx_index, evenly(tx, NUM_TX))
-        return cls(train.subset(np.flatnonzero(is_chosen & train.has_path)), count=count)
+        return cls(train[np.flatnonzero(is_chosen & train.has_path)], count=count)
 
     @cached_property
     def _beam(self) -> BartlettBeam:
@@ -185,7 +185,7 @@ class RoomScore:
     def near(self, room: Surfaces, rows: Int[IntArray, "n"] | None = None) -> RoomScore:
         """A faster score for rooms like this one, whose paths of many reflections are not traced again."""
         rows = np.arange(len(self.samples)) if rows is None else rows
-        score = RoomScore(self.samples.subset(rows), ROUGHLY, FEW, count=self.count)
+        score = RoomScore(self.samples[rows], ROUGHLY, FEW, count=self.count)
         return replace(score, others=self._cfr(room)[rows] - score._cfr(room))
 
 

@@ -26,7 +26,7 @@ from tests.support.mirrored_room import Room as MirroredRoom
 from tests.support.mirrored_room import Wall
 from tests.support.synthetic import write_dataset
 from tests.support.training import predicted, reloaded, trained
-from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.dataset import PasDataset, isolated
 from xfreqbench.data.plane_waves import stored_channels
 from xfreqbench.errors import MethodError
 from xfreqbench.maps.metrics import ssim
@@ -311,7 +311,7 @@ def test_a_room_that_was_found_tells_of_a_carrier_that_was_not_heard(tmp_path: P
     cfr = ImageTracer(scene, carrier_hz.tolist(), settings).channel(tx_m).cfr
     data = stored_channels(tmp_path / "room.h5", scene.receiver, carrier_hz, tx_m, cfr, maps=False)
     is_heard = data.carrier_hz != 5e9
-    test, train = data.subset(np.flatnonzero(~is_heard)), data.subset(np.flatnonzero(is_heard)).isolated()
+    test, train = data[np.flatnonzero(~is_heard)], isolated(data[np.flatnonzero(is_heard)])
 
     def score(model: Any) -> float:
         return float(np.median(ssim(model.predict(test.tx_position_m, test.carrier_hz), test.pas(), data.grid)))

@@ -28,7 +28,7 @@ NOWHERE_M = np.array([[50.0, 50.0, 50.0]])
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return generated(tmp_path_factory.mktemp("data"), settings=SETTINGS, num_transmitters=24)
+    return generated(tmp_path_factory.mktemp("data"), settings=SETTINGS, tx=24)
 
 
 @pytest.fixture(scope="module")

@@ -34,12 +34,12 @@ METAL = NamedSlab("metal", 0.002, 0.0)
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return generated(tmp_path_factory.mktemp("data"), FURNISHED, num_transmitters=36)
+    return generated(tmp_path_factory.mktemp("data"), FURNISHED, tx=36)
 
 
 @pytest.fixture(scope="module")
 def empty_room(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return generated(tmp_path_factory.mktemp("data"), num_transmitters=12)
+    return generated(tmp_path_factory.mktemp("data"), tx=12)
 
 
 @pytest.fixture

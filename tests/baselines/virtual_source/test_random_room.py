@@ -32,7 +32,7 @@ def test_most_walls_of_random_rooms_are_found_and_one_predicts_a_carrier_that_it
         room = RandomRoom.of(seed, 200)
         data = room.traced(tmp_path / f"{seed}.h5")
         (split,) = make_splits(data, "lofo", [HZ / 1e9])
-        planes = find_planes(data.subset(split.train), 0)
+        planes = find_planes(data[split.train], 0)
         walls += found_walls(room, planes)
     found = [wall for wall in walls if wall is not None]
     assert len(found) > 0.85 * len(walls)
@@ -41,12 +41,12 @@ def test_most_walls_of_random_rooms_are_found_and_one_predicts_a_carrier_that_it
 
     monkeypatch.setattr(field_module, "find_planes", lambda *_: planes)
     method = VirtualSource()
-    fit_within(method, data.subset(split.train), Budget(max_maps=3000), 0)
+    fit_within(method, data[split.train], Budget(max_maps=3000), 0)
     learned = [
         Plane(np.array(plane.normal), plane.distance_m, plane.distance_std_m, plane.tilt_std_rad, score=0.0)
         for plane in StoredFindings.model_validate(method.findings()).planes
     ]
     assert all(wall is not None and abs(wall[0]) < 2e-3 for wall in found_walls(room, learned))
-    tested = data.subset(split.test)
+    tested = data[split.test]
     maps = method.predict(tested.tx_position_m, tested.carrier_hz)
     assert np.median(ssim(maps, tested.pas(), tested.grid)) > 0.925  # measured 0.932

@@ -30,12 +30,12 @@ AS_DEEP = replace(SETTINGS, max_depth=COMPARING.max_depth)
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return generated(tmp_path_factory.mktemp("data"), settings=AS_DEEP, num_transmitters=8)
+    return generated(tmp_path_factory.mktemp("data"), settings=AS_DEEP, tx=8)
 
 
 def refinement(dataset: PasDataset, findings: dict[str, object]) -> Refinement:
     """Of a room in which boxes may be of two materials."""
-    train = dataset.subset(find_split(dataset, "lofo", SPLIT).train)
+    train = dataset[find_split(dataset, "lofo", SPLIT).train]
     made = Refinement.of(StoredFindings.model_validate(findings), train)
     made._slabs = made._slabs[:2]
     return made
@@ -111,7 +111,7 @@ def test_rooms_are_compared_roughly_from_one_of_them_on(dataset: PasDataset) -> 
 def test_a_table_is_put_where_the_lengths_of_its_paths_agree(tmp_path: Path) -> None:
     table = Surface("table", "wood", 0.015, (0.6, 0.7, 0.70), (1.9, 2.4, 0.73))
     scene = replace(SCENE, surface=(*SCENE.surface, table))
-    told = refinement(generated(tmp_path, scene, AS_DEEP, num_transmitters=14), found_room())
+    told = refinement(generated(tmp_path, scene, AS_DEEP, tx=14), found_room())
     frame = BoxFrame.of(told.found)
     places_m = [np.sort(frame.along(np.array(corners)), axis=0) for corners in ((table.min_m, table.max_m),)]
     right = frame.surface(places_m[0], 99, NamedSlab("wood", 0.015, 0.0))
@@ -166,9 +166,7 @@ def test_a_partition_of_two_sheets_is_found_by_parts_of_its_front(tmp_path: Path
         corners_m = [[x_m, 0, low_z_m], [x_m, 2.45, low_z_m], [x_m, 2.45, high_z_m], [x_m, 0, high_z_m]]
         faces.append({**faces[-1], "plane": at_plane, "corners_m": corners_m})
     del faces[6]
-    told = refinement(
-        generated(tmp_path, scene, AS_DEEP, num_transmitters=16), {**findings, "planes": planes, "faces": faces}
-    )
+    told = refinement(generated(tmp_path, scene, AS_DEEP, tx=16), {**findings, "planes": planes, "faces": faces})
     assert len(told.found) == len(SCENE.surface) + 2
     for _ in range(12):  # up to the depths of the largest front
         told.step()
@@ -224,7 +222,7 @@ def test_a_refinement_goes_on_where_it_was_stored(dataset: PasDataset) -> None:
     told = refinement(dataset, wrong_room())
     told.step()
     stored = json.loads(json.dumps(told.as_json()))
-    again = Refinement.resumed(stored, dataset.subset(find_split(dataset, "lofo", SPLIT).train))
+    again = Refinement.resumed(stored, dataset[find_split(dataset, "lofo", SPLIT).train])
     told.step()
     again.step()
     assert again.done == told.done == 2

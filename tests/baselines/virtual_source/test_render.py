@@ -36,13 +36,13 @@ AS_DEEP = replace(SETTINGS, max_depth=PREDICTING.max_depth)
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return generated(tmp_path_factory.mktemp("data"), settings=AS_DEEP, num_transmitters=12)
+    return generated(tmp_path_factory.mktemp("data"), settings=AS_DEEP, tx=12)
 
 
 @pytest.fixture(scope="module")
 def diffracted(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
     settings = replace(AS_DEEP, interactions=DIFFRACTING.interactions)
-    return generated(tmp_path_factory.mktemp("diffracted"), settings=settings, num_transmitters=12)
+    return generated(tmp_path_factory.mktemp("diffracted"), settings=settings, tx=12)
 
 
 @pytest.fixture
@@ -144,7 +144,7 @@ def test_the_learned_field_stands_where_no_room_can_be_made(
 
 @pytest.mark.usefixtures("unrefined")
 def test_too_few_transmitters_choose_no_weights(dataset: PasDataset) -> None:
-    few = dataset.subset(np.flatnonzero(dataset.tx_index < 4))
+    few = dataset[np.flatnonzero(dataset.tx_index < 4)]
     assert rendered(few, Known(few, everywhere)).tracer is None
 
 

@@ -100,7 +100,7 @@ def test_a_door_is_put_where_paths_tell_of_it(tmp_path: Path) -> None:
     others = [surface for surface in SCENE.surface if surface.name != "north"]
     scene = replace(SCENE, surface=(*others, *wall_of(*with_door(1.0, 2.0, 2.0))))
     settings = replace(SETTINGS, max_depth=COMPARING.max_depth)
-    dataset = generated(tmp_path, scene, settings, num_transmitters=60)
+    dataset = generated(tmp_path, scene, settings, tx=60)
     told = Refinement.of(StoredFindings.model_validate(found_room()), dataset)
     told.room = room_with(with_door(1.2, 2.0, 2.3))
     told._change(Trial(partial(with_patches, NORTH), at_lowest=True), never)

@@ -14,6 +14,7 @@ from xfreqbench.baselines.xfreq_gs import XFreqGS, XFreqGSConfig
 from tests.support.synthetic import write_dataset
 from tests.support.training import TINY, predicted, reloaded, trained
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.rows import Rows
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning import blending
 from xfreqbench.methods.learning.blending import KINDS, LEARNED, Blend, Choice, Holdout
@@ -137,7 +138,7 @@ def test_a_method_that_knows_nothing_gives_way_to_trivial_predictors(train: PasD
     mean = np.zeros((1, *train.grid.shape), np.float32)
     for predictor in TRIVIAL:
         alone = predictor()
-        next(iter(alone.fit(train.subset(train.has_path), Budget(), 0)))
+        next(iter(alone.fit(train[train.has_path], Budget(), 0)))
         mean += weights.get(predictor.__name__, 0) * alone.predict(*query)
     np.testing.assert_allclose(blend.maps(NOISE[:1], *query), mean / mean.max(), atol=1e-6)
 
@@ -193,7 +194,7 @@ def test_transmitters_whose_sight_is_obscured_have_weights_of_their_own(train: P
     (choice,) = (choice for kind, choice in blend.choices.items() if kind.startswith(KINDS[0] + " at "))
     assert LEARNED not in choice.weights
     assert choice.obscured == {LEARNED: 1}
-    at_held_out = train.subset((train.carrier_hz == choice.carrier_hz) & train.has_path)
+    at_held_out = train[(train.carrier_hz == choice.carrier_hz) & train.has_path]
     query = at_held_out.tx_position_m, at_held_out.carrier_hz
     asked.clear()
     np.testing.assert_allclose(blend.maps(right_where(False, 1)(*query), *query), at_held_out.pas(), atol=1e-6)
@@ -202,7 +203,12 @@ def test_transmitters_whose_sight_is_obscured_have_weights_of_their_own(train: P
 
 def test_a_choice_reads_each_map_once(train: PasDataset, holdout: Holdout, monkeypatch: pytest.MonkeyPatch) -> None:
     read, stored = [], PasDataset.pas
-    monkeypatch.setattr(PasDataset, "pas", lambda data, rows: read.extend(data.rows[rows]) or stored(data, rows))
+
+    def noted(data: PasDataset, rows: Rows = slice(None)) -> np.ndarray:
+        read.extend(data.rows[rows])
+        return stored(data, rows)
+
+    monkeypatch.setattr(PasDataset, "pas", noted)
     Blend.chosen(TRIVIAL, train, holdout, told(NOISE))
     assert 0 < len(read) == len(set(read)) <= len(train)
 
@@ -229,7 +235,7 @@ def assert_mixed(
     """
     known = {predictor.__name__: predictor() for predictor in TRIVIAL}
     for predictor in known.values():
-        next(iter(predictor.fit(train.subset(train.has_path), Budget(), 0)))
+        next(iter(predictor.fit(train[train.has_path], Budget(), 0)))
     blend = Blend(TRIVIAL, train, choices)
     tx_position_m = train.tx_position_m[0] if tx_position_m is None else tx_position_m
     for carrier_hz in carriers_hz:

@@ -16,6 +16,7 @@ from tests.support.plans import small_plan
 from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.generate import generate_planned
+from xfreqbench.data.power import power_db
 from xfreqbench.data.rooms import generate_rooms
 from xfreqbench.report.view import card
 from xfreqbench.report.view.card import write_card
@@ -36,7 +37,7 @@ ROOMS = replace(
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("card")
-    links = {"receivers": ["all"], "polarizations": ["V", "H"]}
+    links = {"receiver": ["all"], "polarization": ["V", "H"]}
     data = generate_planned(small_plan(ROOMS, 3, maps=False, paths=True, **links), folder / "rooms.h5")
     said = xfreqbench("card", data, "--license", "cc-by-4.0", "-o", folder / "new/card", is_bounded=False)
     assert said.code == 0, said
@@ -76,8 +77,8 @@ def test_mlcroissant_finds_no_fault_and_reads_samples_and_rooms(folder: Path, dr
     assert not found.metadata.ctx.issues.errors
     rows = list(found.records("sample"))
     assert [row["sample/sample"] for row in rows] == list(range(len(data)))
-    assert np.allclose([row["sample/power_db"] for row in rows], data.power_db, atol=1e-3)
-    assert [row["sample/in_sight"] for row in rows] == data.line_of_sight.tolist()
+    assert np.allclose([row["sample/power_db"] for row in rows], power_db(data), atol=1e-3)
+    assert [row["sample/in_sight"] for row in rows] == data.tables["line_of_sight"][data.tx_index].tolist()
     found = mlcroissant.Dataset(jsonld=str(drawn.path.parent / "card/croissant.json"))
     assert not found.metadata.ctx.issues.errors
     rows = list(found.records("sample"))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xfreqbench.data.plan import plan_generation
+from tests.support.plans import plan_generation
 from xfreqbench.errors import MaterialBandError, SceneError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.imported import Slab
@@ -208,7 +208,7 @@ def test_solver_image_alone_takes_layers_and_every_layer_has_its_band() -> None:
         make_tracer(scene, [2.4], TraceSettings(solver="sionna"))
     wall = replace(scene, surface=(replace(scene.surface[0], material="brick-wall"),))
     with pytest.raises(MaterialBandError, match="'brick' from 1 to 40 GHz"):
-        plan_generation(wall, [94e9], tx_position_m=np.array([[1.0, 1.5, 1.2]]))
+        plan_generation(wall, [94e9], tx_positions=np.array([[1.0, 1.5, 1.2]]))
 
 
 def test_layers_absorb_what_neither_side_reflects() -> None:

@@ -22,7 +22,7 @@ from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.validation import LEAST_VALIDATION_TX, inner_carriers_hz, validation_tx
+from xfreqbench.data.validation import LEAST_VALIDATION_TX, inner_carriers_hz, place_index, validation_tx
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning.coarse import CoarseDataset
 from xfreqbench.methods.learning.mixing import STRIDE, Predict, scaled, similarities
@@ -83,8 +83,8 @@ class Holdout:
         heard_hz, inner_hz = np.unique(train.carrier_hz), inner_carriers_hz(train)
         is_inner = np.isin(train.carrier_hz, _drawn_carriers(inner_hz, generator))
         is_outermost = np.isin(train.carrier_hz, heard_hz[[0, -1]] if len(heard_hz) > 2 else heard_hz[1:])
-        least = max(LEAST_VALIDATION_TX, min(_LEAST_TX, len(np.unique(train.place_index)) // _LEAST_TX_SHARE))
-        is_tx = np.isin(train.place_index, validation_tx(train, generator, _MOST_ROWS, least))
+        least = max(LEAST_VALIDATION_TX, min(_LEAST_TX, len(np.unique(place_index(train))) // _LEAST_TX_SHARE))
+        is_tx = np.isin(place_index(train), validation_tx(train, generator, _MOST_ROWS, least))
 
         def drawn(until: float, is_unheard: BoolArray, of_kinds: dict[str, BoolArray]) -> Holdout:
             """What is neither of held-out transmitters nor of unheard carriers is left."""
@@ -157,11 +157,11 @@ class Blend:
         means of the learned ones and those of the first predictor; where no transmitter can, those of the latter.
         """
         coarse = CoarseDataset.of(train, STRIDE)
-        left = coarse.subset(holdout.left)
+        left = coarse[holdout.left]
         knowing = _knowing(predictors, left)
         choices = dict(before)
         for kind, of_kind in holdout.rows.items():
-            rows = coarse.subset(of_kind)
+            rows = coarse[of_kind]
             query = rows.tx_position_m, rows.carrier_hz
             maps = {LEARNED: predict(*query)[:, ::STRIDE, ::STRIDE]}
             maps |= {name: predictor.predict(*query) for name, predictor in knowing.items()}
@@ -288,7 +288,7 @@ def _carrier_of(choice: Choice) -> float:
 
 def _knowing(predictors: Sequence[type], train: PasDataset) -> dict[str, Any]:
     """Trivial predictors by name that know the training rows that have a path, and read what they share once."""
-    known = train.subset(train.has_path)
+    known = train[train.has_path]
     made = {predictor.__name__: predictor() for predictor in predictors}
     for predictor in made.values():
         next(predictor.fit(known, Budget(), 0))

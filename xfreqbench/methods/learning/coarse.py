@@ -42,7 +42,8 @@ class CoarseDataset(PasDataset):
         asked = self.rows[chosen_rows(rows, len(self))]
         missing = np.array([row for row in np.unique(asked).tolist() if row not in self.kept], np.int64)
         assert self.fine is not None
-        for part, maps in replace(self.fine, rows=missing).batches(_AT_ONCE):
-            coarse = maps[:, :: self.stride, :: self.stride].copy()
-            self.kept.update(zip(missing[part].tolist(), coarse, strict=True))
+        for start in range(0, len(missing), _AT_ONCE):
+            part = replace(self.fine, rows=missing[start : start + _AT_ONCE])
+            coarse = part.pas()[:, :: self.stride, :: self.stride].copy()
+            self.kept.update(zip(part.rows.tolist(), coarse, strict=True))
         return np.array([self.kept[row] for row in asked.tolist()], np.float32).reshape(-1, *self.grid.shape)

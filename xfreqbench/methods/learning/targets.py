@@ -187,7 +187,7 @@ class Targets:
         cfr = self._train.cfr[self.rows].astype(np.complex128)
         if self._train.header.pas_kind == "phase-only":
             cfr = cfr / np.where(cfr == 0, 1, np.abs(cfr))
-        scaled = cfr / np.sqrt(self._train.peak_power[self.rows])[:, None]
+        scaled = cfr / np.sqrt(self._train.tables["peak_power"].flat[self._train.rows[self.rows]])[:, None]
         channels = torch.as_tensor(scaled.astype(np.complex64)).to(self._device)
         # of so many at a time, all products of pairs of elements are in memory
         return torch.cat([self._beams.lags_of_channels(part) for part in channels.split(4096)])

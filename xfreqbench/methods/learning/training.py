@@ -201,7 +201,7 @@ class LearnedMethod:
 
     def _targets(self, train: PasDataset, training: Training, holdouts: Sequence[Holdout]) -> Targets:
         """The rows that are trained on, while those of the first of `holdouts` are held out."""
-        shown = train.subset(holdouts[0].left) if holdouts else train
+        shown = train[holdouts[0].left] if holdouts else train
         for module in training.field.modules():
             if isinstance(module, Scaling):
                 module.hear(shown)

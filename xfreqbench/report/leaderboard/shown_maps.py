@@ -101,7 +101,7 @@ def shown_maps(
 
     Raises `DataError` as reading the predictions does.
     """
-    samples, truth = dataset.subset(rows), dataset.pas(rows)
+    samples, truth = dataset[rows], dataset.pas(rows)
     found = {}
     for record_id, stored in predictions.items():
         maps = stored.maps_of(rows, BATCH_SIZE)

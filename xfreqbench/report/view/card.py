@@ -20,6 +20,7 @@ from packaging.licenses import InvalidLicenseExpression, canonicalize_license_ex
 
 from xfreqbench.data.collection import FILE, Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
+from xfreqbench.data.power import power_db
 from xfreqbench.data.statistics import ChannelStatistics
 from xfreqbench.data.statistics import statistics as statistics_of
 from xfreqbench.errors import DataError, SceneError, XFreqBenchError
@@ -207,8 +208,8 @@ def _positions(position_m: Float[FloatArray, "T 3"]) -> Table:
 def _sample(some: PasDataset) -> Table:
     columns = {"sample": some.rows.tolist(), **_positions(some.tx_position_m), "carrier_hz": some.carrier_hz.tolist()}
     if some.header.channels:
-        power_db = [round(each, 3) if np.isfinite(each) else "" for each in some.power_db.tolist()]
-        columns |= {"in_sight": some.line_of_sight.astype(bool).tolist(), "power_db": power_db}
+        columns["in_sight"] = some.tables["line_of_sight"][some.tx_index].tolist()
+        columns["power_db"] = [round(each, 3) if np.isfinite(each) else "" for each in power_db(some).tolist()]
     return columns
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.paths import OFFSET
+from xfreqbench.data.validation import place_index
 from xfreqbench.units import format_ghz
 
 
@@ -17,13 +18,13 @@ def describe(path: Path) -> str:
     dataset = open_dataset(path)
     header = dataset.header
     receiver = header.receiver
-    lit = np.unique(dataset.tx_index[dataset.line_of_sight])
+    lit = np.unique(np.flatnonzero(dataset.tables["line_of_sight"]))
     in_sight = str(len(lit)) if header.channels else "unknown number"
-    num_places = len(np.unique(dataset.place_index))
+    num_places = len(np.unique(place_index(dataset)))
     at_places = f" at {num_places} places" if num_places < header.num_tx else ""
     lines = [
         f"{path}: scene {header.scene_name!r}, {header.num_tx} transmitters{at_places} ({in_sight} in sight of "
-        f"the receiver) × {dataset.num_carriers} carriers",
+        f"the receiver) × {dataset.header.num_carriers} carriers",
         *_links_line(dataset),
         f"receiver   {receiver.rows} × {receiver.cols} elements {receiver.spacing_wavelengths:g} wavelengths "
         f"apart in its {receiver.plane} plane at {receiver.position_m} m, boresight {receiver.boresight}, "
@@ -52,7 +53,7 @@ def _links_line(dataset: PasDataset) -> list[str]:
 
 def links_in_words(dataset: PasDataset) -> str:
     """Receivers × polarizations of a file of several links; empty where there is one."""
-    return " × ".join(", ".join(names) for names in (dataset.receivers, dataset.polarizations) if names)
+    return " × ".join(", ".join(names) for names in dataset.file_header.link_names if names)
 
 
 def _in_words(setting: Any) -> str:
@@ -66,7 +67,8 @@ def _paths_line(dataset: PasDataset) -> list[str]:
     """How many paths are stored; nothing where there are none."""
     if not dataset.header.paths:
         return []
-    of_each = np.diff(dataset.tables[OFFSET])[dataset.link[0] :: max(1, len(dataset.receivers))]
+    header = dataset.file_header
+    of_each = np.diff(dataset.tables[OFFSET])[header.link(*dataset.link)[0] :: max(1, len(header.receivers))]
     return [f"paths      {of_each.sum():,} to the array's centre, {np.median(of_each):.0f} a transmitter in the median"]
 
 

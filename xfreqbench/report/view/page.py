@@ -227,7 +227,7 @@ def _protocols(dataset: PasDataset) -> tuple[list[Split], list[str]]:
     """
     splits: list[Split] = []
     refusals: list[str] = []
-    for protocol in (*PROTOCOLS, *([HELD_OUT_RECEIVER] if dataset.receivers else [])):
+    for protocol in (*PROTOCOLS, *([HELD_OUT_RECEIVER] if dataset.file_header.receivers else [])):
         try:
             splits += make_splits(dataset, protocol)
         except ProtocolError as error:

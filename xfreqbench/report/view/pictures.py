@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from scipy.spatial import KDTree
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.power import power_db
 from xfreqbench.data.statistics import MECHANISMS, ChannelStatistics, statistics
 from xfreqbench.errors import DataError, UnknownNameError, XFreqBenchError
 from xfreqbench.maps.bartlett import power_of
@@ -59,7 +60,7 @@ def draw_maps(file: Path, tx: int, carriers_hz: Sequence[float] | None, range_db
         raise XFreqBenchError(f"{file} holds transmitters 0 to {dataset.header.num_tx - 1}, but {tx} is asked for.")
     chosen_hz = _chosen_hz(dataset, carriers_hz)
     known_hz = dataset.header.carrier_hz.tolist()
-    samples = dataset.subset([tx * len(known_hz) + known_hz.index(carrier) for carrier in chosen_hz])
+    samples = dataset[[tx * len(known_hz) + known_hz.index(carrier) for carrier in chosen_hz]]
     titles = [format_ghz(carrier) for carrier in chosen_hz]
     maps = power_of(samples.pas(), dataset.header.pas_kind)
     place = ", ".join(f"{metres:.2f}" for metres in dataset.tables["tx_position_m"][tx])
@@ -78,7 +79,7 @@ def draw_power(file: Path, carriers_hz: Sequence[float] | None, range_db: float,
     chosen_hz = _chosen_hz(dataset, carriers_hz)
     if not dataset.header.channels:
         raise DataError(f"{file} holds maps alone, which say nothing of power; draw --of maps.")
-    power = np.stack([10 ** (dataset.subset(dataset.carrier_hz == f).power_db / 10) for f in chosen_hz])
+    power = np.stack([10 ** (power_db(dataset[dataset.carrier_hz == f]) / 10) for f in chosen_hz])
     room = plan_view(str(file)).room
     title = f"{_name(dataset)}\npower received from {dataset.header.num_tx} transmitters"
     plot_power(room, power, chosen_hz, output, title, range_db)

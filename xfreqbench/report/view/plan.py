@@ -9,6 +9,7 @@ from pathlib import Path
 from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.options import GenerateOptions
 from xfreqbench.data.plan import plan_generation
 from xfreqbench.data.recipe import Recipe
 from xfreqbench.data.retrace import traced_scene
@@ -86,7 +87,7 @@ def _view_of_scene(scene: Scene, tx: int | None, carrier_ghz: float | None) -> V
     """What `generate` would trace at the paper's carriers; materials are extrapolated beyond their P.2040 bands."""
     paper_hz = [ghz_to_hz(carrier) for carrier in PAPER_CARRIERS_GHZ]
     carrier_hz = _chosen_hz(carrier_ghz, paper_hz)
-    plan = plan_generation(scene, paper_hz, TraceSettings(materials="extrapolate"), maps=False)
+    plan = plan_generation(scene, GenerateOptions(materials="extrapolate", maps=False))
     room = ShownRoom(
         receiver=scene.receiver,
         lowest_hz=min(paper_hz),

@@ -76,13 +76,13 @@ def summarize(dataset: PasDataset) -> CarrierSummary:
 
 def similarity(dataset: PasDataset) -> Similarity:
     """Compare the maps of evenly spread transmitters at evenly spread carriers, all where there are few."""
-    carriers = _spread(dataset.num_carriers, MAX_COMPARED_CARRIERS)
+    carriers = _spread(dataset.header.num_carriers, MAX_COMPARED_CARRIERS)
     pairs = list(combinations(range(len(carriers)), 2))
     transmitters = _spread(dataset.header.num_tx, min(MAX_COMPARED_TX, _MAX_COMPARISONS // max(1, len(pairs))))
     scores = np.full((len(transmitters), len(pairs)), np.nan)  # where one of the two maps is empty
     for row, tx in enumerate(transmitters.tolist() if pairs else ()):
         first, second = np.array(pairs).T
-        rows = tx * dataset.num_carriers + carriers
+        rows = tx * dataset.header.num_carriers + carriers
         maps, heard = dataset.pas(rows), dataset.has_path[rows]
         both = heard[first] & heard[second]
         scores[row, both] = ssim(maps[first[both]], maps[second[both]], dataset.grid)

@@ -66,7 +66,7 @@ def write_view(view: ViewPlan, folder: Path, tell: Callable[[str], None] = lambd
     """
     claim(view, folder)
     if view.dataset:
-        tell(f"comparing maps between {view.dataset.num_carriers} carriers")
+        tell(f"comparing maps between {view.dataset.header.num_carriers} carriers")
     summary = summarize(view.dataset) if view.dataset else None
     with tempfile.TemporaryDirectory() as scratch:
         tell("drawing the room, its rays and maps")

@@ -17,11 +17,11 @@ from xfreqbench.baselines.virtual_source.findings.residual import (
 )
 
 from tests.support.found_box import ALL_PLANES, SCENE, SETTINGS, WITHOUT_FLOOR
+from tests.support.plans import plan_generation
 from tests.support.stored_records import make_record, make_summary
 from tests.support.synthetic import append_all, make_header
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.plan import plan_generation
 from xfreqbench.data.splits import find_split
 from xfreqbench.data.writer import PasWriter
 from xfreqbench.errors import DataError, OutputExistsError, XFreqBenchError
@@ -98,7 +98,7 @@ def test_a_plane_left_out_is_missed_in_the_found_planes_alone(complete: Residual
 def test_paths_over_edges_are_a_cause_of_their_own(complete: Residual, tmp_path: Path) -> None:
     """Behind the screen there is little else, and with its edges the true paths give the true map again."""
     settings = replace(SETTINGS, interactions=("specular", "refraction", "diffraction"))
-    plan = plan_generation(SCENE, [2.4e9, 24.25e9], settings, num_transmitters=4)
+    plan = plan_generation(SCENE, [2.4e9, 24.25e9], settings, tx=4)
     diffracted = residual_of(open_dataset(generate_planned(plan, tmp_path / "box.h5")), tmp_path, num_tx=4)
     edges, none = ssim_of(diffracted, EVERYTHING), ssim_of(diffracted, Selection())
     assert edges.min() > 0.95
@@ -108,7 +108,7 @@ def test_paths_over_edges_are_a_cause_of_their_own(complete: Residual, tmp_path:
 
 
 def test_transmissions_are_missed_by_those_behind_the_screen(complete: Residual) -> None:
-    shadowed = ~complete.samples.line_of_sight
+    shadowed = ~complete.samples.tables["line_of_sight"][complete.samples.tx_index]
     assert 0 < shadowed.sum() < len(shadowed)
     without, direct = ssim_of(complete, Selection(True, 0, False)), ssim_of(complete, Selection(True, 0))
     assert (without[shadowed] < direct[shadowed]).all()

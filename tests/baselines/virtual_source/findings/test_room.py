@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ from xfreqbench.baselines.virtual_source.stored import FoundSlab
 
 from tests.support.found_box import ALL_PLANES, SCENE, SETTINGS, found_room, slab
 from tests.support.stored_records import make_record
-from xfreqbench.cli.data import generate
-from xfreqbench.data.dataset import PasDataset, open_dataset
+from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.generate import generate
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.runs.records import RunRecord, append
 from xfreqbench.scene.meshes import surface_meshes
@@ -49,17 +50,9 @@ def test_a_room_without_errors_is_traced_to_the_channels_of_the_truth_and_no_oth
     box: PasDataset, tmp_path: Path, error_m: float
 ) -> None:
     room = write(box, tmp_path, found_room(error_m=error_m))
-    generate(
-        str(room / "room.toml"),
-        output=tmp_path / "again.h5",
-        freqs="2.4,24.25",
-        tx_positions=box.path,
-        solver="image",
-        interactions=",".join(SETTINGS.interactions),
-        max_depth=3,
-        quiet=True,
-    )
-    again = open_dataset(tmp_path / "again.h5")
+    how: dict[str, Any] = {"solver": "image", "interactions": SETTINGS.interactions, "max_depth": 3}
+    tx_m = box.tables["tx_position_m"]
+    again = generate(room / "room.toml", tmp_path / "again.h5", [2.4, 24.25], tx_positions=tx_m, **how)
     if error_m:
         assert np.abs(again.pas() - box.pas()).max() > 0.05
         return

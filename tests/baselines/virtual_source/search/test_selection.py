@@ -54,7 +54,7 @@ def test_a_slanted_wall_a_leaning_wall_and_a_leaning_floor_are_found_and_nothing
 @pytest.mark.slow
 def test_planes_are_found_without_the_lowest_carrier_and_some_rows_too(room: PasDataset) -> None:
     is_kept = (room.carrier_hz > 2e9) & ((room.tx_index % 7 > 0) | (room.carrier_hz != 5e9))
-    assert_found(found_in(room.subset(np.flatnonzero(is_kept))), WALLS)
+    assert_found(found_in(room[np.flatnonzero(is_kept)]), WALLS)
 
 
 def test_free_space_has_no_planes(tmp_path: Path) -> None:
@@ -87,14 +87,14 @@ def test_a_vertical_array_finds_the_planes_too(tmp_path: Path) -> None:
 
 
 def test_few_transmitters_and_none_give_no_planes_and_no_errors(tmp_path: Path, room: PasDataset) -> None:
-    assert not len(found_in(room.subset(np.flatnonzero(room.tx_index < 5))))
-    assert not len(found_in(room.subset([])))
+    assert not len(found_in(room[np.flatnonzero(room.tx_index < 5)]))
+    assert not len(found_in(room[[]]))
     assert not len(found_in(ROOM.stored(tmp_path, np.zeros_like(ROOM.cfr()))))
 
 
 @pytest.mark.slow
 def test_one_carrier_is_searched_too(room: PasDataset) -> None:
-    one = room.subset(np.flatnonzero(room.carrier_hz == 2.4e9))
+    one = room[np.flatnonzero(room.carrier_hz == 2.4e9)]
     found = found_in(one)
     assert len(found)
     for image_m in found:
