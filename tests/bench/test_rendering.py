@@ -2,11 +2,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from xfreqbench.bench import rendering
-from xfreqbench.bench.rendering import CARRIERS_HZ, Leaves, dense_field
+from xfreqbench.bench.rendering import Leaves, dense_field
 from xfreqbench.bench.tables import Bench
 from xfreqbench.data.plane_waves import plane_wave_data
 from xfreqbench.runs.records import read
@@ -30,16 +31,19 @@ def test_the_splatting_table_has_a_row_for_each_size_and_small_errors_beside_its
 
 def test_steps_of_methods_are_told_as_maps_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rendering, "METHODS", ["aperture-gs"])
-    monkeypatch.setattr(rendering, "step_s", lambda train, method: 0.5)
+    monkeypatch.setattr(rendering, "_step_s", lambda train, method: 0.5)
     said = list[str]()
-    rendering.tabulate_fits(Bench("render", "", said.append), plane_wave_data(tmp_path / "d.h5", CARRIERS_HZ, num_tx=2))
+    data = plane_wave_data(tmp_path / "d.h5", np.array([1e9, 10e9]), num_tx=2)
+    rendering.tabulate_fits(Bench("render", "", said.append), data)
     assert "| aperture-gs | 64 | 500.0 | 128 |" in said
 
 
 def test_footprints_hold_as_many_directions_as_the_table_says() -> None:
-    (cost,) = rendering.splat_costs([100], [1])
+    (cells,) = rendering.splat_rows([100], [1])
     clipped = 0.8  # footprints at the first and the last row are cut
-    assert clipped <= cost.num_pairs / 100 / rendering.DIRECTIONS_PER_GAUSSIAN <= 1.05  # pixels of an ellipse
+    assert (
+        clipped <= int(cells[2].replace(",", "")) / 100 / rendering.DIRECTIONS_PER_GAUSSIAN <= 1.05
+    )  # pixels of an ellipse
 
 
 def test_dense_accumulation_lets_nothing_through_an_opaque_gaussian() -> None:

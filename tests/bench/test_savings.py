@@ -69,7 +69,7 @@ def test_savings_of_the_maps_change_rounding_alone(work: Workload) -> None:
 def test_savings_of_sionna_leave_the_maps_where_they_were(work: Workload) -> None:
     sionna = replace(work.few(2, 2), settings=replace(work.settings, solver="sionna"))
     for saving in (
-        efficiency.side_by_side(sionna, "side by side"),
+        efficiency.all_at_once(sionna, "side by side"),
         efficiency.one_shooting_for_all_transmitters(sionna, "once"),
     ):
         error, _ = moved(saving)

@@ -34,8 +34,6 @@ from xfreqbench.tracing.versions import software_versions
 SCENE = "office"
 NUM_WORKERS = 2
 NUM_SPLITS = 2  # of protocol lofo, for the runs
-NUM_EMPTY_CALLS = 100
-EXECUTOR_COLUMNS = ("work", "executor", "start-up, s", "wall, s", "rate", "an empty call, ms", "same bytes")
 
 
 def bench_scale_out(bench: Bench, num_tx: int) -> None:
@@ -44,11 +42,11 @@ def bench_scale_out(bench: Bench, num_tx: int) -> None:
         raise XFreqBenchError(f"--tx is {num_tx}; give at least {BATCH}, which is one batch.")
     bench.introduce()
     with tempfile.TemporaryDirectory() as folder:
-        generate_planned(office_plan(1), Path(folder) / "compiled.h5")  # compiles kernels for all measurements
+        generate_planned(_office_plan(1), Path(folder) / "compiled.h5")  # compiles kernels for all measurements
         _tabulate_executors(bench, num_tx, Path(folder))
 
 
-def office_plan(num_tx: int) -> Plan:
+def _office_plan(num_tx: int) -> Plan:
     """The generation that is measured: the office at the defaults and the paper's carriers."""
     return plan_generation(SCENE, GenerateOptions(tx=num_tx))
 
@@ -70,18 +68,19 @@ WAYS: dict[str, Callable[[bool], AbstractContextManager[Workers]]] = {
 
 def _tabulate_executors(bench: Bench, num_tx: int, folder: Path) -> None:
     """Print the cost of each executor for generation and for runs."""
-    plan, points, first = office_plan(num_tx), [], dict[str, str]()
+    plan, points, first = _office_plan(num_tx), [], dict[str, str]()
     note = (
         f"Generation: {num_tx} transmitters × {len(plan.header.carrier_hz)} carriers of {SCENE} at the defaults, "
         f"batches of {BATCH}, every process shooting its own rays, maps stored. Runs: {', '.join(NEEDED_TRIVIAL)} on "
         f"{NUM_SPLITS} lofo splits of those data, in new processes where they are of this machine. Serial tracing has "
         "a thread a core; processes and workers have one each. Start-up: until every place has answered one call, "
-        f"that of the cluster included. An empty call returns a batch of zeros ({NUM_EMPTY_CALLS} of them, wall time "
+        "that of the cluster included. An empty call returns a batch of zeros (100 of them, wall time "
         "over their number), or for runs nothing. Same bytes: the data set's sha256, or all predictions', is that of "
         "the serial row. Everything was measured, once, with kernels compiled before."
         + ("" if is_installed() else " The extra `cluster` is not installed here: no row of Dask.")
     )
-    with bench.table("What an executor costs", note, EXECUTOR_COLUMNS, software_versions("image")) as table:
+    columns = "work", "executor", "start-up, s", "wall, s", "rate", "an empty call, ms", "same bytes"
+    with bench.table("What an executor costs", note, columns, software_versions("image")) as table:
         for work in (_Generation(plan, folder), _Runs(folder)):
             for way in list(WAYS)[: None if is_installed() else -1]:
                 took = _measured(way, work)
@@ -94,7 +93,7 @@ def _tabulate_executors(bench: Bench, num_tx: int, folder: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Took:
+class _Took:
     """Times of one work on one executor, its amount, and a digest of its results."""
 
     start_up_s: float
@@ -118,7 +117,7 @@ class _Generation:
         self._plan, self._folder = plan, folder
         self.amount = len(plan.tx_position_m)
         self.batch_shape = BATCH, len(plan.header.carrier_hz), plan.header.receiver.num_elements
-        self.num_empty_calls = NUM_EMPTY_CALLS
+        self.num_empty_calls = 100
 
     def do(self, workers: Workers, way: str) -> str:
         """Generate the data set; return its sha256."""
@@ -151,7 +150,7 @@ class _Runs:
 Work = _Generation | _Runs
 
 
-def _measured(way: str, work: Work) -> Took:
+def _measured(way: str, work: Work) -> _Took:
     """Open an executor by its name, call it without work, then let it do the work, and measure each."""
     start = time.perf_counter()
     with WAYS[way](work.is_fresh) as workers:
@@ -161,7 +160,7 @@ def _measured(way: str, work: Work) -> Took:
         begun = time.perf_counter()
         sha256 = work.do(workers, way)
         wall_s = time.perf_counter() - begun
-    return Took(ready - start, wall_s, work.amount, (begun - ready) / work.num_empty_calls, sha256)
+    return _Took(ready - start, wall_s, work.amount, (begun - ready) / work.num_empty_calls, sha256)
 
 
 def _call_empty(workers: Workers, shape: tuple[int, int, int], number: int) -> None:

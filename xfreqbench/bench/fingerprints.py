@@ -25,7 +25,6 @@ from xfreqbench.types import FloatArray, ProgressCallback
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
 NUM_TRANSMITTERS = 64
-_COMMON_CHOICES = (24, 48)  # what documents give to `--tx`: small data sets then have transmitters in common
 
 
 def make_fingerprint(
@@ -75,6 +74,7 @@ def _chosen(scene: Scene, lowest_carrier_hz: float) -> Float[FloatArray, "T 3"]:
     """Up to 64 positions of a scene's grid: those that `generate --tx 24` takes, then those of `--tx 48`."""
     usable = place_transmitters(scene.with_receiver(), surface_meshes(scene), lowest_carrier_hz)
     seed, most = TraceSettings().seed, len(usable.tx_position_m)
-    choices = [choose_transmitters(usable, min(number, most), seed).tolist() for number in _COMMON_CHOICES]
+    # what documents give to `--tx`: small data sets then have transmitters of the fingerprint
+    choices = [choose_transmitters(usable, min(number, most), seed).tolist() for number in (24, 48)]
     distinct = dict.fromkeys(tuple(place) for choice in choices for place in choice)
     return np.array(list(distinct)[:NUM_TRANSMITTERS])

@@ -29,10 +29,6 @@ from xfreqbench.units import format_ghz_list
 
 CELL_M = 0.5  # side of the blocks of space whose errors are drawn together, and over which local means are taken
 NUM_NEAREST = 3
-_NUM_RESAMPLES = 1000
-_MOST_WALLS = 16
-_POLARIZATIONS: tuple[Literal["V", "H"], ...] = ("V", "H")
-_COLUMNS = ("model", "RMSE dB", "in sight", "not in sight", "RMSE of local means", "median error dB", "r")
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +124,9 @@ def bench_measured(
         f"positions (seed {seed}), and scored are the others. In brackets 95 % intervals by {CELL_M:g} m cells; local "
         "means are of the errors in such cells; r is within a receiver."
     )
-    with bench.table(f"Measured power in {scene.name}, solver {settings.solver}", note, _COLUMNS) as table:
+    title = f"Measured power in {scene.name}, solver {settings.solver}"
+    columns = "model", "RMSE dB", "in sight", "not in sight", "RMSE of local means", "median error dB", "r"
+    with bench.table(title, note, columns) as table:
         for name, model_db in predicted.items():
             offset_db = np.nanmean(np.where(fitted[:, None], power_db - model_db, np.nan), axis=0)
             error_db = np.where(fitted[:, None], np.nan, model_db + offset_db - power_db)
@@ -186,11 +184,11 @@ def _nearest_db(
 def _num_walls(
     prepared: PreparedScene, receiver: ReceiverArray, position_m: Float[FloatArray, "n 3"], carrier_hz: float
 ) -> Float[FloatArray, "n"]:
-    """How many surfaces the straight line from a receiver to each position passes; the most where one is opaque."""
-    settings = TraceSettings("image", ("refraction",), max_depth=_MOST_WALLS, materials="extrapolate")
+    """How many surfaces the straight line from a receiver to each position passes; 16 where one is opaque."""
+    settings = TraceSettings("image", ("refraction",), max_depth=16, materials="extrapolate")
     tracer = tracer_of(_alone(prepared, receiver, "V"), [carrier_hz], settings)
     paths = [tracer.paths(place_m) for place_m in position_m]
-    walls = [(found.interactions != NO_INTERACTION).sum() if len(found.delay_s) else _MOST_WALLS for found in paths]
+    walls = [(found.interactions != NO_INTERACTION).sum() if len(found.delay_s) else 16 for found in paths]
     return np.array(walls, dtype=np.float64)
 
 
@@ -215,7 +213,7 @@ def _traced_db(
     power = np.zeros((2, len(depths), len(position_m), len(receivers)))
     done, total = 0, 2 * power[0, 0].size
     for r, receiver in enumerate(receivers):
-        for polarization in _POLARIZATIONS:
+        for polarization in ("V", "H"):
             tracer = tracer_of(_alone(prepared, receiver, polarization), carrier_hz, settings)
             for n, place_m in enumerate(position_m):
                 paths = tracer.paths(place_m)
@@ -242,12 +240,12 @@ def _scores(
     cell: NDArray[np.int64],
     seed: int,
 ) -> tuple[str, ...]:
-    """The cells of a model's row, as `_COLUMNS` has them."""
+    """The cells of a model's row, behind its name."""
     num_cells = int(cell.max()) + 1
     is_scored = np.isfinite(error_db)
     squares = np.bincount(cell, np.nansum(error_db**2, axis=1), num_cells)
     counts = np.bincount(cell, is_scored.sum(axis=1), num_cells)
-    drawn = np.random.default_rng(seed).multinomial(num_cells, np.full(num_cells, 1 / num_cells), _NUM_RESAMPLES)
+    drawn = np.random.default_rng(seed).multinomial(num_cells, np.full(num_cells, 1 / num_cells), 1000)
     low, high = np.quantile(np.sqrt(drawn @ squares / np.maximum(drawn @ counts, 1)), [0.025, 0.975])
     block = (cell[:, None] + num_cells * np.arange(error_db.shape[1]))[is_scored]  # a cell of a receiver
     num_scored = np.bincount(block)

@@ -39,14 +39,8 @@ REFERENCE_SETTINGS = TraceSettings(
     max_depth=TraceSettings().max_depth + 1,
     seed=2,
 )
-PUBLIC_WAY = (
-    "public forward PathSolver(synthetic_array=False), one call per transmitter and carrier, hash table of 2^25 "
-    "candidates"
-)
 
 _ADVICE = "Delete it, and make it anew."
-# entries of `about` that have to agree when a reference is continued
-IDENTITY = ("scene_sha256", "rays", "max_depth", "seed", "interactions")
 
 
 @dataclass(frozen=True)
@@ -130,9 +124,9 @@ def _unfinished_reference(scene: Scene, path: Path) -> Reference:
 def _differences(stored: Reference, asked: Reference) -> list[str]:
     """In words, how the stored reference differs from the one asked for; versions of software do not count."""
     wanted = json.loads(json.dumps(asked.about))  # a tuple comes back as a list
-    differences = [
+    differences = [  # of what has to agree when a reference is continued
         f"{key} is {stored.about.get(key)!r}, not {wanted[key]!r}"
-        for key in IDENTITY
+        for key in ("scene_sha256", "rays", "max_depth", "seed", "interactions")
         if stored.about.get(key) != wanted[key]
     ]
     if not np.array_equal(stored.carrier_hz, asked.carrier_hz):
@@ -148,8 +142,9 @@ def _empty_reference(scene: Scene) -> Reference:
     """The reference that is asked for, with channels of NaN."""
     tx, has_meshes = _lit_and_shadowed(scene), scene.scene is not None
     shape = (len(tx), len(REFERENCE_CARRIERS_HZ), scene.receiver.num_elements)
+    public = "public forward PathSolver(synthetic_array=False), one call per transmitter and carrier"
     about = {
-        "way": "solver image" if has_meshes else PUBLIC_WAY,
+        "way": "solver image" if has_meshes else f"{public}, hash table of 2^25 candidates",
         "scene_sha256": meshes_sha256(surface_meshes(scene)),
         "rays": REFERENCE_SETTINGS.rays,
         "max_depth": REFERENCE_SETTINGS.max_depth,

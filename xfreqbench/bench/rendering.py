@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields
 from pathlib import Path
 from timeit import timeit
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -29,35 +30,25 @@ from xfreqbench.methods.splatting.composite import Backend, PixelLists, composit
 from xfreqbench.methods.splatting.field import SUPPORT
 from xfreqbench.methods.splatting.footprints import bin_footprints, squared_distance
 from xfreqbench.methods.splatting.projection import Projection
-from xfreqbench.units import ghz_to_hz
 
 METHODS = (
     *("xfreq-gs", "fixed-frequency-gs", "frequency-embedded-gs", "aperture-gs"),
     *("gsrf", "swift-wrf", "wideband-3dgs", "wrf-gs-plus"),
 )
-FIT_COLUMNS = ("method", "maps a step", "ms a step", "maps/s")
-CARRIERS_HZ = np.array([ghz_to_hz(carrier) for carrier in (1.0, 10.0)])  # of the training data
-SPLATTING_COLUMNS = (
-    *("N", "B", "pairs", "numba ms", "samples/s", "torch ms", "samples/s", "dense ms"),
-    *("dense / numba", "dense / torch", "error of values", "of gradients"),
-)
 DIRECTIONS_PER_GAUSSIAN = 200
-_FEWER = GridView(stride=5)  # directions for timing dense accumulation where all of them are too many
-_FEW = GridView(stride=9)  # directions for measuring errors
 _MOST_DENSE_PAIRS = 100_000_000
-_FAR = 1e4  # squared distance for Gaussians that a direction does not see; G is zero in double precision
 
 
 def bench_render(bench: Bench, num_gaussians: Sequence[int], batch_sizes: Sequence[int], with_step: bool) -> None:
     """Print the table of splatting alone and, with `with_step`, that of training steps of methods."""
     bench.introduce()
-    tabulate_splatting(bench, num_gaussians, batch_sizes)
+    _tabulate_splatting(bench, num_gaussians, batch_sizes)
     if with_step:
         with tempfile.TemporaryDirectory() as folder:
-            tabulate_fits(bench, plane_wave_data(Path(folder) / "waves.h5", CARRIERS_HZ, num_tx=32))
+            tabulate_fits(bench, plane_wave_data(Path(folder) / "waves.h5", np.array([1e9, 10e9]), num_tx=32))
 
 
-def tabulate_splatting(bench: Bench, num_gaussians: Sequence[int], batch_sizes: Sequence[int]) -> None:
+def _tabulate_splatting(bench: Bench, num_gaussians: Sequence[int], batch_sizes: Sequence[int]) -> None:
     """Print the time of splatting alone, for all combinations of numbers of Gaussians and batch sizes."""
     note = (
         f"Forward and backward, footprints given, all 90 × 360 directions, about {DIRECTIONS_PER_GAUSSIAN} "
@@ -66,21 +57,23 @@ def tabulate_splatting(bench: Bench, num_gaussians: Sequence[int], batch_sizes: 
         "and scaled up, the squared distances of footprints included. Errors are those of numba in float32 against "
         "dense float64, relative to the largest value, on 1/81 of the directions."
     )
-    with bench.table("Splatting alone", note, SPLATTING_COLUMNS) as table:
-        for cost in splat_costs(num_gaussians, batch_sizes):
-            table.add(*cost.cells)
+    sizes, times = ("N", "B", "pairs"), ("numba ms", "samples/s", "torch ms", "samples/s", "dense ms")
+    columns = (*sizes, *times, "dense / numba", "dense / torch", "error of values", "of gradients")
+    with bench.table("Splatting alone", note, columns) as table:
+        for cells in splat_rows(num_gaussians, batch_sizes):
+            table.add(*cells)
 
 
 def tabulate_fits(bench: Bench, train: PasDataset) -> None:
     """Print the maps that training steps of methods see a second."""
     note = f"The method's own loop on a data set of 64 maps, {torch.get_num_threads()} threads, after its first step."
-    with bench.table("Training steps of methods", note, FIT_COLUMNS) as table:
+    with bench.table("Training steps of methods", note, ("method", "maps a step", "ms a step", "maps/s")) as table:
         for method in METHODS:
-            size, seconds = build_method(method).config.batch_size, step_s(train, method)
+            size, seconds = build_method(method).config.batch_size, _step_s(train, method)
             table.add(method, str(size), f"{1e3 * seconds:.1f}", f"{size / seconds:,.0f}")
 
 
-def step_s(train: PasDataset, method: str) -> float:
+def _step_s(train: PasDataset, method: str) -> float:
     """Time of a step of `fit` in seconds, at half of the budget, where the loss has its final weights."""
     fit = build_method(method).fit(train, Budget(), 0)
     assert isinstance(fit, Generator)
@@ -88,8 +81,7 @@ def step_s(train: PasDataset, method: str) -> float:
     return timed_s(lambda: fit.send(0.5))[0]
 
 
-@dataclass(frozen=True, eq=False)
-class Leaves:
+class Leaves(NamedTuple):
     """Inputs of accumulation that have gradients, for N Gaussians and B samples."""
 
     distance: Float[Tensor, "..."]
@@ -98,54 +90,31 @@ class Leaves:
     attenuation: Complex[Tensor, "N B"]
 
 
-@dataclass(frozen=True)
-class SplatCost:
-    """Time of forward and backward for N Gaussians and B samples, and the largest errors of the compiled kernels.
+def splat_rows(num_gaussians: Sequence[int], batch_sizes: Sequence[int]) -> Iterator[tuple[str, ...]]:
+    """Cells of the table of splatting: times of both backends and of dense accumulation, and the compiled one's errors.
 
-    Times are in ms per sample. Errors are relative to the largest value of each tensor. Dense accumulation is timed
-    for a single sample on every `dense_stride`-th row and column, and scaled to all directions.
+    Footprints are random and of equal size. Times are in ms a sample. Errors are relative to the largest value of a
+    tensor. Dense accumulation is timed for one sample on every `stride`-th row and column, then scaled.
     """
-
-    num_gaussians: int
-    batch_size: int
-    num_pairs: int
-    numba_ms: float
-    torch_ms: float
-    dense_ms: float
-    dense_stride: int
-    value_error: float
-    gradient_error: float
-
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """A row of the table `SPLATTING_COLUMNS`."""
-        part = "" if self.dense_stride == 1 else f" (1/{self.dense_stride**2})"
-        ours = [cell for ms in (self.numba_ms, self.torch_ms) for cell in (f"{ms:.2f}", f"{1e3 / ms:.0f}")]
-        ratios = [f"{self.dense_ms / ms:.0f}" for ms in (self.numba_ms, self.torch_ms)]
-        errors = f"{self.value_error:.0e}", f"{self.gradient_error:.0e}"
-        sizes = str(self.num_gaussians), str(self.batch_size), f"{self.num_pairs:,}"
-        return *sizes, *ours, f"{self.dense_ms:.0f}{part}", *ratios, *errors
-
-
-def splat_costs(num_gaussians: Sequence[int], batch_sizes: Sequence[int]) -> Iterator[SplatCost]:
-    """Costs of both backends and of dense accumulation, on random footprints of equal size."""
     grid = AngularGrid.hemisphere()
     for number in num_gaussians:
-        projection = random_projection(number)
-        stride = 1 if number * math.prod(grid.shape) <= _MOST_DENSE_PAIRS else _FEWER.stride
-        dense_ms = dense_s(projection, GridView(stride).of_grid(grid)) * stride**2 * 1e3
+        projection = _random_projection(number)
+        # fewer directions, where dense accumulation of all of them takes too long
+        stride = 1 if number * math.prod(grid.shape) <= _MOST_DENSE_PAIRS else 5
+        dense_ms = _dense_s(projection, GridView(stride).of_grid(grid)) * stride**2 * 1e3
+        part = "" if stride == 1 else f" (1/{stride**2})"
         lists = bin_footprints(projection, grid, SUPPORT)
         distance = squared_distance(projection, lists, grid)
         for size in batch_sizes:
-            leaves = random_leaves(distance, number, size)
-            numba_s = accumulation_s(lists, leaves, "numba")
-            torch_s = accumulation_s(lists, leaves, "torch")
-            errors = accumulation_errors(projection, size)
-            per_sample = numba_s / size * 1e3, torch_s / size * 1e3
-            yield SplatCost(number, size, len(distance), *per_sample, dense_ms, stride, *errors)
+            leaves = _random_leaves(distance, number, size)
+            own_ms = [_accumulation_s(lists, leaves, backend) / size * 1e3 for backend in ("numba", "torch")]
+            times = [cell for ms in own_ms for cell in (f"{ms:.2f}", f"{1e3 / ms:.0f}")]
+            ratios = [f"{dense_ms / ms:.0f}" for ms in own_ms]
+            errors = [f"{error:.0e}" for error in _accumulation_errors(projection, size)]
+            yield str(number), str(size), f"{len(distance):,}", *times, f"{dense_ms:.0f}{part}", *ratios, *errors
 
 
-def random_projection(num_gaussians: int) -> Projection:
+def _random_projection(num_gaussians: int) -> Projection:
     """Random circular footprints of `DIRECTIONS_PER_GAUSSIAN` directions each, spread over the hemisphere."""
     generator = torch.Generator().manual_seed(0)
     azimuth, elevation, distance = torch.rand(3, num_gaussians, generator=generator)
@@ -154,7 +123,7 @@ def random_projection(num_gaussians: int) -> Projection:
     return Projection(2 * math.pi * azimuth, math.pi / 2 * elevation, covariance, 1 + distance)
 
 
-def random_leaves(distance: Float[Tensor, "P"], num_gaussians: int, batch_size: int) -> Leaves:
+def _random_leaves(distance: Float[Tensor, "P"], num_gaussians: int, batch_size: int) -> Leaves:
     """Distances with random attributes, like those of an untrained network."""
     generator = torch.Generator().manual_seed(1)
     shape = num_gaussians, batch_size
@@ -167,27 +136,21 @@ def random_leaves(distance: Float[Tensor, "P"], num_gaussians: int, batch_size: 
     )
 
 
-def differentiated(
+def _differentiated(
     accumulate: Callable[[Leaves], Tensor], leaves: Leaves, weights: Tensor
 ) -> tuple[Tensor, tuple[Tensor, ...]]:
     """The field R, and the gradients of Re Σ conj(w) R by the leaves, with weights w."""
-    free = Leaves(*(getattr(leaves, field.name).detach().requires_grad_() for field in fields(leaves)))
+    free = Leaves(*(value.detach().requires_grad_() for value in leaves))
     field = accumulate(free)
-    inputs = [free.distance, free.inverse_spread, free.signal, free.attenuation]
-    return field.detach(), autograd.grad(field, inputs, weights)
+    return field.detach(), autograd.grad(field, free, weights)
 
 
-def accumulation_s(lists: PixelLists, leaves: Leaves, backend: Backend) -> float:
+def _accumulation_s(lists: PixelLists, leaves: Leaves, backend: Backend) -> float:
     """Time of forward and backward for a minibatch, in seconds."""
     generator = torch.Generator().manual_seed(2)
     shape = leaves.signal.shape[1], len(lists.start) - 1
     weights = torch.randn(shape, generator=generator, dtype=torch.complex64)
-    return timed_s(lambda: differentiated(lambda free: accumulated(lists, free, backend), leaves, weights))[0]
-
-
-def accumulated(lists: PixelLists, leaves: Leaves, backend: Backend) -> Complex[Tensor, "B K"]:
-    """The result of `composite` for these leaves."""
-    return composite(lists, leaves.distance, leaves.inverse_spread, leaves.signal, leaves.attenuation, backend)
+    return timed_s(lambda: _differentiated(lambda free: composite(lists, *free, backend), leaves, weights))[0]
 
 
 def dense_field(leaves: Leaves) -> Complex[Tensor, "B K"]:
@@ -201,14 +164,14 @@ def dense_field(leaves: Leaves) -> Complex[Tensor, "B K"]:
     return torch.stack(of_samples)
 
 
-def dense_s(projection: Projection, grid: AngularGrid) -> float:
+def _dense_s(projection: Projection, grid: AngularGrid) -> float:
     """Time of forward and backward for one sample on a grid in seconds, one row of directions after the other.
 
     It is that on one thread or on all, whichever is smaller, because tensors of a row are small.
     """
     order = projection.range_m.argsort()
     near_first = Projection(*(getattr(projection, field.name)[order] for field in fields(projection)))
-    leaves = random_leaves(torch.zeros(0), len(order), 1)
+    leaves = _random_leaves(torch.zeros(0), len(order), 1)
     weights = torch.ones(1, len(grid.azimuth_rad), dtype=torch.complex64)
 
     def render() -> None:
@@ -218,7 +181,7 @@ def dense_s(projection: Projection, grid: AngularGrid) -> float:
             across = torch.remainder(azimuth_rad - near_first.azimuth_rad + math.pi, 2 * math.pi) - math.pi
             along = elevation_rad - near_first.elevation_rad
             distance = (across**2 + along**2) / near_first.covariance[:, 0, 0]
-            differentiated(dense_field, replace(leaves, distance=distance), weights)
+            _differentiated(dense_field, leaves._replace(distance=distance), weights)
 
     all_threads, times_s = torch.get_num_threads(), []
     try:
@@ -230,19 +193,19 @@ def dense_s(projection: Projection, grid: AngularGrid) -> float:
     return min(times_s)
 
 
-def accumulation_errors(projection: Projection, batch_size: int) -> tuple[float, float]:
+def _accumulation_errors(projection: Projection, batch_size: int) -> tuple[float, float]:
     """Largest errors of values and of gradients of "numba" against dense float64, on a part of the directions.
 
     Only the first and the last sample have weights, so dense accumulation can leave out the others.
     """
-    grid = _FEW.of_grid(AngularGrid.hemisphere())
+    grid = GridView(stride=9).of_grid(AngularGrid.hemisphere())
     lists = bin_footprints(projection, grid, SUPPORT)
-    leaves = random_leaves(squared_distance(projection, lists, grid), lists.num_gaussians, batch_size)
+    leaves = _random_leaves(squared_distance(projection, lists, grid), lists.num_gaussians, batch_size)
     ends = sorted({0, batch_size - 1})
     weights = torch.zeros(batch_size, len(lists.start) - 1, dtype=torch.complex64)
     drawn = torch.Generator().manual_seed(0)
     weights[ends] = torch.randn(len(ends), weights.shape[1], dtype=torch.complex64, generator=drawn)
-    field, gradients = differentiated(lambda free: accumulated(lists, free, "numba"), leaves, weights)
+    field, gradients = _differentiated(lambda free: composite(lists, *free, "numba"), leaves, weights)
     order = projection.range_m.argsort(stable=True)
     pixel = torch.repeat_interleave(lists.start.diff())
     rank = order.argsort()[lists.gaussian]
@@ -256,12 +219,13 @@ def _dense_truth(
     leaves: Leaves, order: Tensor, pair: tuple[Tensor, Tensor], ends: list[int], weights: Tensor
 ) -> tuple[Tensor, tuple[Tensor, ...]]:
     """Field and gradients of the samples `ends` by dense accumulation in double precision."""
-    distance = torch.full((weights.shape[1], len(order)), _FAR, dtype=torch.float64)
+    # the squared distance of Gaussians that a direction does not see; G is zero in double precision
+    distance = torch.full((weights.shape[1], len(order)), 1e4, dtype=torch.float64)
     distance[pair] = leaves.distance.double()
     attributes = leaves.inverse_spread, leaves.signal, leaves.attenuation
     spread, signal, attenuation = (value[order][:, ends] for value in attributes)
     exact = Leaves(distance, spread.double(), signal.to(torch.complex128), attenuation.to(torch.complex128))
-    true, (of_distance, *others) = differentiated(dense_field, exact, weights.to(torch.complex128))
+    true, (of_distance, *others) = _differentiated(dense_field, exact, weights.to(torch.complex128))
     return true, (of_distance[pair], *others)
 
 

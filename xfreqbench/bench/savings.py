@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -30,33 +31,29 @@ from xfreqbench.tracing.versions import software_versions
 from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz
 
-NUM_TX = 48
-FEW_RAYS = 100_000  # where each transmitter shoots its own rays
-COLUMNS = ("saving", "timed", "off, ms", "on, ms", "off / on", "change in the answer")
 SCENE_AND_RAYS = "meshes read, rays shot, channels"
 
 ChannelArray = Complex[NDArray[np.complex128], "T F M"]
-MapArray = Float[NDArray[np.float32], "N E A"]
 
 
-@dataclass(frozen=True)
-class Saving:
-    """Milliseconds per sample without and with a saving (`off_ms`, `on_ms`), and how it changes the result.
+class Saving(NamedTuple):
+    """A row of the table: ms a sample without and with a saving, and how it changes the result.
 
-    A saving may also spend time for accuracy; then `off_ms` is smaller.
+    A saving may also spend time for accuracy; then the first of the times is the smaller.
     """
 
     name: str
     timed: str
-    off_ms: float
-    on_ms: float
+    off_ms: str
+    on_ms: str
+    ratio: str
     change: str
 
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """A row of the table."""
-        times = f"{self.off_ms:.2f}", f"{self.on_ms:.2f}", f"{self.off_ms / self.on_ms:.2f}"
-        return self.name, self.timed, *times, self.change
+
+def _saving(name: str, timed: str, off_s: float, on_s: float, num_samples: int, change: str) -> Saving:
+    """The row of a saving from the times of all samples."""
+    off_ms, on_ms = (f"{1e3 * seconds / num_samples:.2f}" for seconds in (off_s, on_s))
+    return Saving(name, timed, off_ms, on_ms, f"{off_s / on_s:.2f}", change)
 
 
 @dataclass(frozen=True)
@@ -67,11 +64,6 @@ class Workload:
     tx_position_m: Float[FloatArray, "T 3"]
     carrier_hz: tuple[float, ...]
     settings: TraceSettings
-
-    @property
-    def num_samples(self) -> int:
-        """Transmitters times carriers."""
-        return len(self.tx_position_m) * len(self.carrier_hz)
 
     @property
     def size(self) -> str:
@@ -93,9 +85,8 @@ class Workload:
         """Measure both ways, and compare their channels and maps."""
         off_s, without = timed_s(off)
         on_s, with_it = timed_s(on)
-        change = channel_change(self.scene, with_it, without)
-        per_sample = off_s / self.num_samples * 1e3, on_s / self.num_samples * 1e3
-        return Saving(name, f"{timed}; {self.size}", *per_sample, change)
+        change, num_samples = channel_change(self.scene, with_it, without), without.shape[0] * without.shape[1]
+        return _saving(name, f"{timed}; {self.size}", off_s, on_s, num_samples, change)
 
     def by_tracers(self, name: str, timed: str, off: ImageTracer, on: ImageTracer) -> Saving:
         """Measure the channels of two tracers, whose rays are shot beforehand."""
@@ -103,7 +94,7 @@ class Workload:
         return self.saving(f"image: {name}", f"{timed}, rays shot beforehand", *both)
 
 
-def office_workload(solver: SolverName, num_tx: int = NUM_TX) -> Workload:
+def office_workload(solver: SolverName, num_tx: int = 48) -> Workload:
     """Transmitters of the office at the paper's carriers, with a solver at its defaults."""
     scene = load_scene("office")
     tx_position_m = choose_transmitters(
@@ -123,14 +114,15 @@ def bench_savings(bench: Bench) -> None:
         "may buy accuracy with time."
     )
     versions = software_versions("image") | software_versions("sionna")
-    with bench.table("Savings, each off and on", note, COLUMNS, versions) as table:
+    columns = ("saving", "timed", "off, ms", "on, ms", "off / on", "change in the answer")
+    with bench.table("Savings, each off and on", note, columns, versions) as table:
         for saving in chain(
             image_savings(office_workload("image")),
             diffuse_savings(office_workload("image", num_tx=4)),  # what diffuse reflection costs, which is off
             map_savings(office_workload("image", num_tx=6)),
-            sionna_savings(office_workload("sionna")),
+            _sionna_savings(office_workload("sionna")),
         ):
-            table.add(*saving.cells)
+            table.add(*saving)
 
 
 def image_savings(work: Workload) -> Iterator[Saving]:
@@ -151,13 +143,13 @@ def image_savings(work: Workload) -> Iterator[Saving]:
             for image_savings in (without, with_it)
         )
         yield work.by_tracers(name, "channels", off, on)
-    yield from edge_savings(work.few(2, 3))
-    yield side_by_side(work, f"image: transmitters side by side on {get_num_threads()} threads")
+    yield from _edge_savings(work.few(2, 3))
+    yield all_at_once(work, f"image: transmitters side by side on {get_num_threads()} threads")
     yield one_shooting_for_all_transmitters(work.few(4, len(work.carrier_hz)), "image: plane sequences once")
-    yield one_shooting_for_all_carriers(work, "image: one tracing for all carriers")
+    yield _one_shooting_for_all_carriers(work, "image: one tracing for all carriers")
 
 
-def edge_savings(work: Workload) -> Iterator[Saving]:
+def _edge_savings(work: Workload) -> Iterator[Saving]:
     """Diffracted paths that are left out, against all of them traced: weak ones, and those of many reflections."""
     settings = replace(work.settings, interactions=("specular", "refraction", "diffraction"))
     on = ImageTracer(work.scene, work.carrier_hz, settings)
@@ -182,18 +174,19 @@ def diffuse_savings(work: Workload) -> Iterator[Saving]:
     yield work.by_tracers("no diffuse reflection over a mirror", timed, whole, direct)
 
 
-def sionna_savings(work: Workload) -> Iterator[Saving]:
+def _sionna_savings(work: Workload) -> Iterator[Saving]:
     """Savings of Sionna RT's solver: what transmitters, carriers and directions of travel share."""
     some = work.few(8, 3)
-    yield side_by_side(some, "sionna: eight transmitters a solve")
+    yield all_at_once(some, "sionna: eight transmitters a solve")
     yield one_shooting_for_all_transmitters(some, "sionna: chains from the receiver once")
-    yield one_shooting_for_all_carriers(work.few(4, 10), "sionna: one tracing for all carriers")
-    fewer_rays = replace(work.few(2, 3), settings=replace(work.settings, rays=FEW_RAYS))
+    yield _one_shooting_for_all_carriers(work.few(4, 10), "sionna: one tracing for all carriers")
+    # few, because each transmitter shoots its own
+    fewer_rays = replace(work.few(2, 3), settings=replace(work.settings, rays=100_000))
     yield shooting_from_the_receiver(fewer_rays)
-    yield larger_table(fewer_rays)
+    yield _larger_table(fewer_rays)
 
 
-def side_by_side(work: Workload, name: str) -> Saving:
+def all_at_once(work: Workload, name: str) -> Saving:
     """All transmitters in one call, against one call for each, with rays shot beforehand.
 
     The image method has a thread for each transmitter, so its ratio is mostly due to threads.
@@ -213,7 +206,7 @@ def one_shooting_for_all_transmitters(work: Workload, name: str) -> Saving:
     return work.saving(name, SCENE_AND_RAYS, lambda: np.concatenate([part.channel() for part in parts]), work.channel)
 
 
-def one_shooting_for_all_carriers(work: Workload, name: str) -> Saving:
+def _one_shooting_for_all_carriers(work: Workload, name: str) -> Saving:
     """Rays shot once for the widest aperture, against anew for the aperture of each carrier."""
     parts = [replace(work, carrier_hz=(carrier,)) for carrier in work.carrier_hz]
     return work.saving(
@@ -236,7 +229,7 @@ def shooting_from_the_receiver(work: Workload) -> Saving:
     return work.saving("sionna: rays from the receiver", timed, forward, work.channel)
 
 
-def larger_table(work: Workload) -> Saving:
+def _larger_table(work: Workload) -> Saving:
     """Sionna's table of candidates enlarged, in the plain way: it loses hardly any candidates, but saves no time."""
     from xfreqbench.tracing.sionna.scene import roomy_hash_table
 
@@ -264,7 +257,7 @@ def map_savings(work: Workload) -> Iterator[Saving]:
     cfr = work.channel().reshape(-1, work.scene.receiver.num_elements)
     kept = _beam(work.scene)
 
-    def one_by_one(beam_of: Callable[[], BartlettBeam]) -> MapArray:
+    def one_by_one(beam_of: Callable[[], BartlettBeam]) -> Float[NDArray[np.float32], "N E A"]:
         return np.concatenate([beam_of().maps(row[None])[0] for row in cfr])
 
     anew_s, anew = timed_s(lambda: one_by_one(lambda: _beam(work.scene)))
@@ -274,8 +267,8 @@ def map_savings(work: Workload) -> Iterator[Saving]:
         ("maps: steering vectors kept", anew_s, singly_s, anew, singly),
         ("maps: one product for all samples", singly_s, together_s, singly, together),
     ):
-        per_sample = off_s / len(cfr) * 1e3, on_s / len(cfr) * 1e3
-        yield Saving(name, f"maps; {work.size}", *per_sample, f"maps: at most {np.abs(on - off).max():.0e}")
+        change = f"maps: at most {np.abs(on - off).max():.0e}"
+        yield _saving(name, f"maps; {work.size}", off_s, on_s, len(cfr), change)
 
 
 def _beam(scene: Scene) -> BartlettBeam:

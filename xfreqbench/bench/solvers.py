@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex
@@ -48,16 +49,9 @@ PLAIN_LADDER = (  # rays, depth, whether Sionna's table of candidates is enlarge
     (100_000, 6, True),
     (200_000, 6, True),
 )
-PLAIN_WAY = (100_000, 5, False)
-PIPELINE_COLUMNS = (
-    *("pipeline", "transmitters", "carriers", "seconds", "of planning", "ms a sample", "samples/s", "peak memory, MiB"),
-    *("rate / the plain way", "rate / the cheapest plain that meets the bar"),
-)
-_FEW_TX = 64
 
 
-@dataclass(frozen=True)
-class MapError:
+class _MapError(NamedTuple):
     """Errors of maps at one carrier, over transmitters."""
 
     median_psnr_db: float
@@ -75,7 +69,7 @@ class MapError:
 
 def map_errors(
     scene: Scene, cfr: Complex[NDArray[np.complex128], "T F M"], truth: Complex[NDArray[np.complex128], "T F M"]
-) -> list[MapError]:
+) -> list[_MapError]:
     """Errors of power maps at each carrier, over the transmitters."""
     grid = AngularGrid.hemisphere()
     beam = BartlettBeam(scene.receiver.element_position_wavelengths, grid)
@@ -84,18 +78,18 @@ def map_errors(
         ours, true = beam.maps(cfr[:, f])[0], beam.maps(truth[:, f])[0]
         ratios, similarity = psnr(ours, true, grid), ssim(ours, true, grid)
         fifth = float(np.percentile(ratios, 5, method="lower"))
-        errors.append(MapError(float(np.median(ratios)), fifth, float(np.median(similarity))))
+        errors.append(_MapError(float(np.median(ratios)), fifth, float(np.median(similarity))))
     return errors
 
 
 @dataclass(frozen=True)
-class MeasuredSetting:
+class _MeasuredSetting:
     """Time and errors of one setting: rays (`shoot_s`), channels (`sample_ms`), and errors for each carrier."""
 
     label: str
     shoot_s: float
     sample_ms: float
-    errors: list[MapError]
+    errors: list[_MapError]
 
     @property
     def meets_bar(self) -> bool:
@@ -148,7 +142,7 @@ def _rungs(solver: SolverName, depths: Sequence[int], rays: Sequence[int]) -> It
     yield Rung(solver, "reflection off", ("interactions",), replace(base, interactions=("refraction",)))
 
 
-def measure(scene: Scene, settings: TraceSettings, reference: Reference, label: str) -> MeasuredSetting:
+def measure(scene: Scene, settings: TraceSettings, reference: Reference, label: str) -> _MeasuredSetting:
     """Trace the reference's transmitters and measure times and errors, without compilation.
 
     Times are the smallest of `REPEATS`. With diffraction by Sionna RT, whose rays are shot for each transmitter, it
@@ -163,7 +157,7 @@ def measure(scene: Scene, settings: TraceSettings, reference: Reference, label: 
     shoot_s, channel_s, (cfr, *_) = zip(*traced, strict=True)
     num_samples = cfr.shape[0] * cfr.shape[1]
     errors = map_errors(scene, cfr, reference.cfr)
-    return MeasuredSetting(label, min(shoot_s), min(channel_s) / num_samples * 1e3, errors)
+    return _MeasuredSetting(label, min(shoot_s), min(channel_s) / num_samples * 1e3, errors)
 
 
 def _traced(
@@ -177,9 +171,9 @@ def _traced(
     return shot - start, time.perf_counter() - shot, channel.cfr
 
 
-def measure_plain(
+def _measure_plain(
     scene: Scene, reference: Reference, rays: int, max_depth: int, is_roomy: bool, num_tx: int
-) -> MeasuredSetting:
+) -> _MeasuredSetting:
     """Time and errors of the plain way for `num_tx` of the reference's transmitters, both lit and shadowed."""
     from xfreqbench.tracing.sionna.plain import plain_channel
     from xfreqbench.tracing.sionna.scene import roomy_hash_table
@@ -200,35 +194,16 @@ def measure_plain(
         seconds += time.perf_counter() - start
     errors = map_errors(scene, np.stack(channels, axis=1), reference.cfr[chosen])
     label = f"plain, {rays:,} rays, depth {max_depth}{', larger table' if is_roomy else ''}"
-    return MeasuredSetting(label, 0.0, seconds / (num_tx * len(reference.carrier_hz)) * 1e3, errors)
+    return _MeasuredSetting(label, 0.0, seconds / (num_tx * len(reference.carrier_hz)) * 1e3, errors)
 
 
-@dataclass(frozen=True)
-class PipelineCost:
-    """Time and memory of `generate` from scene to finished file, maps included. Planning takes `plan_s` of it."""
-
-    num_tx: int
-    num_carriers: int
-    seconds: float
-    peak_memory_mib: float
-    plan_s: float
-
-    @property
-    def sample_ms(self) -> float:
-        """Wall time per pair of a transmitter and a carrier, in ms."""
-        return self.seconds / (self.num_tx * self.num_carriers) * 1e3
-
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """A row of the table."""
-        times = f"{self.seconds:.1f}", f"{self.plan_s:.2f}", f"{self.sample_ms:.2f}", f"{1e3 / self.sample_ms:.0f}"
-        return str(self.num_tx), str(self.num_carriers), *times, f"{self.peak_memory_mib:.0f}"
-
-
-def measure_pipeline(
+def _measure_pipeline(
     scene: Scene, settings: TraceSettings, num_tx: int | None, carriers_ghz: Sequence[float] = PAPER_CARRIERS_GHZ
-) -> PipelineCost:
-    """Generate a data set with maps in a temporary folder and measure everything except compilation."""
+) -> tuple[float, tuple[str, ...]]:
+    """Time a pair of a transmitter and a carrier takes in ms, and the cells of a row, from scene to finished file.
+
+    A data set with maps is generated in a temporary folder; compilation alone is left out.
+    """
     options = GenerateOptions(carriers_ghz, **asdict(settings))
     with tempfile.TemporaryDirectory() as folder:
         generate_planned(plan_generation(scene, replace(options, tx=1)), Path(folder) / "first.h5")
@@ -238,7 +213,10 @@ def measure_pipeline(
         plan_s = time.perf_counter() - start
         generate_planned(plan, Path(folder) / "timed.h5")
         seconds = time.perf_counter() - start
-    return PipelineCost(len(plan.tx_position_m), len(carriers_ghz), seconds, peak_memory_mib(), plan_s)
+    num_tx, num_carriers = len(plan.tx_position_m), len(carriers_ghz)
+    sample_ms = seconds / (num_tx * num_carriers) * 1e3
+    times = f"{seconds:.1f}", f"{plan_s:.2f}", f"{sample_ms:.2f}", f"{1e3 / sample_ms:.0f}"
+    return sample_ms, (str(num_tx), str(num_carriers), *times, f"{peak_memory_mib():.0f}")
 
 
 def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> None:
@@ -310,17 +288,17 @@ def bench_against_plain(bench: Bench, scene_name: str, num_tx: int | None, num_p
     _tabulate_pipelines(bench, scene_name, pipelines, plain)
 
 
-def _pipelines(scene: Scene, num_tx: int | None) -> Iterator[tuple[str, PipelineCost]]:
-    """Costs of the full pipeline, by name."""
-    few = min(num_tx or _FEW_TX, _FEW_TX)
+def _pipelines(scene: Scene, num_tx: int | None) -> Iterator[tuple[str, tuple[float, tuple[str, ...]]]]:
+    """Costs of the full pipeline, by name, as `_measure_pipeline` returns them."""
+    few = min(num_tx or 64, 64)
     auto = TraceSettings(interactions=WITHOUT_DIFFRACTION)
-    yield "image", measure_pipeline(scene, replace(auto, solver="image"), num_tx)
+    yield "image", _measure_pipeline(scene, replace(auto, solver="image"), num_tx)
     for count in (1, 5, 10):
-        yield f"price per carrier: {count}", measure_pipeline(scene, auto, few, PAPER_CARRIERS_GHZ[:count])
-    yield "sionna", measure_pipeline(scene, replace(auto, solver="sionna"), few)
+        yield f"price per carrier: {count}", _measure_pipeline(scene, auto, few, PAPER_CARRIERS_GHZ[:count])
+    yield "sionna", _measure_pipeline(scene, replace(auto, solver="sionna"), few)
 
 
-def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: int) -> list[MeasuredSetting]:
+def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: int) -> list[_MeasuredSetting]:
     """Print settings of the plain way, and below them the solvers at their defaults; return the plain rows."""
     note = (
         f"{_reference_note(reference)} The plain way is one public `PathSolver` call a sample, of {num_tx} of "
@@ -331,7 +309,7 @@ def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: in
     with bench.table(title, note, columns, _versions(SOLVERS)) as table:
         plain, points = [], []
         for rays, depth, is_roomy in PLAIN_LADDER:
-            row = measure_plain(scene, reference, rays, depth, is_roomy, num_tx)
+            row = _measure_plain(scene, reference, rays, depth, is_roomy, num_tx)
             table.add(*row.cells)
             plain.append(row)
             series = "plain, larger table" if is_roomy else "plain"
@@ -346,9 +324,12 @@ def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: in
 
 
 def _tabulate_pipelines(
-    bench: Bench, scene_name: str, pipelines: Mapping[str, PipelineCost], plain: Sequence[MeasuredSetting]
+    bench: Bench,
+    scene_name: str,
+    pipelines: Mapping[str, tuple[float, tuple[str, ...]]],
+    plain: Sequence[_MeasuredSetting],
 ) -> None:
-    usual = plain[PLAIN_LADDER.index(PLAIN_WAY)]
+    usual = plain[PLAIN_LADDER.index((100_000, 5, False))]
     meeting = [row for row in plain if row.meets_bar]
     best = min(meeting, key=lambda row: row.sample_ms) if meeting else None
     note = (
@@ -357,7 +338,10 @@ def _tabulate_pipelines(
         "the cheapest plain settings that meet the bar"
         + (f" ({best.label}: {best.sample_ms:.0f} ms a sample)." if best else ", of which there are none here.")
     )
-    with bench.table(f"The full pipeline, {scene_name}", note, PIPELINE_COLUMNS, _versions(SOLVERS)) as table:
-        for name, cost in pipelines.items():
-            ratios = [f"{row.sample_ms / cost.sample_ms:.0f}" if row else "–" for row in (usual, best)]
-            table.add(name, *cost.cells, *ratios)
+    times = "seconds", "of planning", "ms a sample", "samples/s", "peak memory, MiB"
+    rates = "rate / the plain way", "rate / the cheapest plain that meets the bar"
+    columns = ("pipeline", "transmitters", "carriers", *times, *rates)
+    with bench.table(f"The full pipeline, {scene_name}", note, columns, _versions(SOLVERS)) as table:
+        for name, (sample_ms, cells) in pipelines.items():
+            ratios = [f"{row.sample_ms / sample_ms:.0f}" if row else "–" for row in (usual, best)]
+            table.add(name, *cells, *ratios)

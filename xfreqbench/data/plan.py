@@ -19,11 +19,12 @@ from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.data.trace import Tracing
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.maps.bartlett import pas_kind_named
-from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import P2040_EDITION, ConstantMaterial, check_dispersion
 from xfreqbench.scene.meshes import bounds_m, meshes_sha256, slabs_of, triangle_corners_m
 from xfreqbench.scene.model import POLARIZATION_PAIRS, PolarizationPair, Scene, load_scene
 from xfreqbench.scene.overlaps import check_overlaps, nearly_in_one_plane
+from xfreqbench.scene.patches import PLANE_TOLERANCE
 from xfreqbench.scene.placement import (
     MIN_SEPARATION_M,
     Placement,

@@ -12,13 +12,6 @@ from xfreqbench.errors import ArgumentError
 from xfreqbench.types import FloatArray
 
 
-def unit_vector(elevation_rad: FloatArray, azimuth_rad: FloatArray) -> Float[FloatArray, "... 3"]:
-    """Unit vector (cos β cos α, cos β sin α, sin β) towards elevation β above the equator and azimuth α."""
-    elevation, azimuth = np.broadcast_arrays(elevation_rad, azimuth_rad)
-    horizontal = np.cos(elevation)
-    return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], axis=-1)
-
-
 @dataclass(frozen=True)
 class AngularGrid:
     """Directions of a PAS: E elevations above the equator by A azimuths, in the receiver's frame.
@@ -56,5 +49,7 @@ class AngularGrid:
 
     @cached_property
     def directions(self) -> Float[FloatArray, "E A 3"]:
-        """Unit vectors from the receiver, in its frame."""
-        return unit_vector(self.elevation_rad[:, None], self.azimuth_rad[None, :])
+        """Unit vectors (cos β cos α, cos β sin α, sin β) in the receiver's frame, at elevation β and azimuth α."""
+        elevation, azimuth = np.broadcast_arrays(self.elevation_rad[:, None], self.azimuth_rad[None, :])
+        horizontal = np.cos(elevation)
+        return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], axis=-1)

@@ -15,8 +15,6 @@ from jaxtyping import Float, Int
 from xfreqbench.maps.bartlett import BartlettBeam, PasKind, power_of
 from xfreqbench.types import FloatArray, IntArray, Maps, NDArray
 
-_RIDGE = 1e-6  # of the largest mean square of a lag function: some almost vanish on the visible half of the sphere
-
 
 def element_lags(element_position_wavelengths: Float[FloatArray, "M 3"]) -> Float[FloatArray, "M*M 3"]:
     """Differences r_m − r_n of the positions of all pairs of elements, rounded so that equal ones compare equal."""
@@ -56,7 +54,8 @@ class LagFunctions:
     def _projection(self) -> Float[FloatArray, "EA L"]:
         waves = self.waves.reshape(len(self.waves), -1)
         gram = waves @ waves.T
-        gram += _RIDGE * gram.diagonal().max() * np.eye(len(gram))
+        # some lag functions almost vanish on the visible half of the sphere
+        gram += 1e-6 * gram.diagonal().max() * np.eye(len(gram))
         return np.asarray(np.linalg.solve(gram, waves).T, np.float64)
 
     def of_maps(self, maps: Float[Maps, "B E A"], kind: PasKind) -> Float[NDArray[np.float32], "B L"]:

@@ -23,10 +23,8 @@ from xfreqbench.types import FloatArray, Maps, NDArray
 
 METRICS_VERSION = "2"
 SSIM_WINDOW = 7  # scikit-image's default, uniform
-POWER_RANGE_DB = 30.0
 POWER_FLOOR_DB = -40.0
 NUM_RESAMPLES = 1000
-LEAST_PEAK = 1e-3  # of maps that are not constant: SSIM and PSNR of absolute powers say nothing
 
 ScoreFunction = Callable[[Maps, Maps, AngularGrid], FloatArray]
 SampleMaps = Float[Maps, "N E A"]  # of N samples
@@ -70,7 +68,7 @@ def _checked(name: str, predicted: Maps, truth: Maps, grid: AngularGrid) -> tupl
                 "amplitudes, as float32."
             )
         low, peaks = maps.min(initial=0), maps.max(axis=(1, 2), initial=0)
-        small = maps[(peaks > 0) & (peaks < LEAST_PEAK)]
+        small = maps[(peaks > 0) & (peaks < 1e-3)]
         is_tiny = np.ptp(small, axis=(1, 2)).any()
         if is_tiny or not (low >= -RANGE_TOLERANCE and (peaks <= 1 + RANGE_TOLERANCE).all()):
             high = small.max() if is_tiny else peaks.max()
@@ -130,7 +128,7 @@ def power_error(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> 
 
     Powers below −40 dB count as −40 dB.
     """
-    strong = truth >= truth.max(axis=(1, 2), keepdims=True) * 10 ** (-POWER_RANGE_DB / 10)
+    strong = truth >= truth.max(axis=(1, 2), keepdims=True) * 1e-3
     ratio = _floored(predicted)
     ratio /= _floored(truth)
     error_bel = np.abs(np.log10(ratio, out=ratio), out=ratio)

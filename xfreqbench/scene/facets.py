@@ -14,10 +14,8 @@ from jaxtyping import Bool, Float, Int
 
 from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.meshes import SurfaceMesh
-from xfreqbench.scene.patches import mirror_patches
+from xfreqbench.scene.patches import PLANE_TOLERANCE, mirror_patches
 from xfreqbench.types import FloatArray, IntArray, NDArray
-
-PLANE_TOLERANCE = 1e-4  # metres, and radians: facets that differ by less share a plane; float32 errs by less
 
 
 class PlanarFacet(NamedTuple):

@@ -271,14 +271,16 @@ class SceneMaterial:
 
 
 # Parts of buildings that any scene may name. docs/new-scene.md says where their dimensions are from.
-_PRESETS: dict[str, list[tuple[str, float]]] = {
-    "double-glazing": [("glass", 0.004), ("vacuum", 0.016), ("glass", 0.004)],
-    "brick-wall": [("plasterboard", 0.015), ("brick", 0.115), ("plasterboard", 0.015)],
-    "stud-wall": [("plasterboard", 0.0125), ("vacuum", 0.075), ("plasterboard", 0.0125)],
-    "solid-door": [("wood", 0.04)],
-    "hollow-door": [("chipboard", 0.003), ("vacuum", 0.034), ("chipboard", 0.003)],
+PRESETS = {
+    name: LayeredMaterial(name, tuple(Layer(*layer) for layer in layers))
+    for name, layers in {
+        "double-glazing": [("glass", 0.004), ("vacuum", 0.016), ("glass", 0.004)],
+        "brick-wall": [("plasterboard", 0.015), ("brick", 0.115), ("plasterboard", 0.015)],
+        "stud-wall": [("plasterboard", 0.0125), ("vacuum", 0.075), ("plasterboard", 0.0125)],
+        "solid-door": [("wood", 0.04)],
+        "hollow-door": [("chipboard", 0.003), ("vacuum", 0.034), ("chipboard", 0.003)],
+    }.items()
 }
-PRESETS = {name: LayeredMaterial(name, tuple(Layer(*layer) for layer in layers)) for name, layers in _PRESETS.items()}
 
 
 def material_named(name: str, table: Mapping[str, SceneMaterial]) -> SlabMaterial:

@@ -24,9 +24,7 @@ from xfreqbench.types import FloatArray
 from xfreqbench.units import parse_number
 
 MeshKind = Literal["ply", "stl", "obj"]
-SCENE_SUFFIXES = (".glb", ".obj")  # of files that are a whole scene
 _PLY_FACES = ("vertex_index", "vertex_indices")
-_UNEXPECTED = "unexpected length"  # what trimesh says of a binary PLY that is cut, or has faces of several sizes
 
 
 def read_mesh(path: Path, kind: MeshKind) -> Triangles:
@@ -128,11 +126,11 @@ def _read_ply(content: bytes) -> Triangles:
         if corners.dtype.names:  # binary, each row read as if it were as long as the first
             sizes, corners = corners["f0"], corners["f1"]
             if (sizes != sizes[0]).any():
-                raise ValueError(_UNEXPECTED)
+                raise ValueError("unexpected length")
         elif len(corners) < raw.get("face", {}).get("length", 0) or min(map(len, corners[-1:]), default=3) < 3:
             raise ValueError("it ends within its faces; export it again")
     except ValueError as error:
-        if _UNEXPECTED not in str(error):
+        if "unexpected length" not in str(error):  # as trimesh says of one that is cut, or of faces of several sizes
             raise
         faces, vertices_m = _binary_polygons(content)
         return Triangles(vertices_m, triangulated(vertices_m, faces)[0])

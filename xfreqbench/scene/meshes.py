@@ -18,14 +18,13 @@ from jaxtyping import Bool, Float, Int
 from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.imported import ImportedShape, Slab, Triangles, bounded
 from xfreqbench.scene.materials import ConstantMaterial, Scattering, SlabMaterial
-from xfreqbench.scene.mesh_files import SCENE_SUFFIXES, read_scene
+from xfreqbench.scene.mesh_files import read_scene
 from xfreqbench.scene.mitsuba_xml import read_xml
 from xfreqbench.scene.model import FAR_M, UNIT_M, PatchSize, Scene, Surface
 from xfreqbench.scene.polygons import flat_polygon, is_flat
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
 SIONNA = "sionna:"  # begins the name of a scene that Sionna RT brings
-FLAT = 0.01  # a scene is a single wall where its vertices lie within this share of its extent of one plane
 
 
 @dataclass(frozen=True)
@@ -162,7 +161,7 @@ def _imported_shapes(scene: Scene) -> list[ImportedShape]:
     if scene.scene is None:
         return []
     path = _mesh_file(scene.scene, scene.folder)
-    if path.suffix.lower() in SCENE_SUFFIXES:
+    if path.suffix.lower() in (".glb", ".obj"):
         shapes = read_scene(path, scene.materials)
     else:
         shapes = list(bounded(read_xml(path, scene.materials), path))
@@ -185,7 +184,7 @@ def _require_upright(
     single wall or ground has no inside.
     """
     vertices_m = np.concatenate([shape.triangles.vertices_m for shape in shapes])
-    if 0 < np.abs(vertices_m).max(initial=0) <= FAR_M and is_flat(vertices_m, FLAT):  # others are refused later
+    if 0 < np.abs(vertices_m).max(initial=0) <= FAR_M and is_flat(vertices_m, 0.01):  # others are refused later
         return
     bounds_m = np.array([vertices_m.min(axis=0, initial=np.inf), vertices_m.max(axis=0, initial=-np.inf)])
     with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later

@@ -59,10 +59,6 @@ _OWN_PROPERTIES = {
 }
 _FORMS = ("rectangle", "cube", "sphere")
 _FILES = get_args(MeshKind)
-_OF_SHAPES = {  # properties that Mitsuba has, and the element of each
-    **dict.fromkeys(("flip_normals", "face_normals", "flip_tex_coords"), "boolean"),
-    "silhouette_sampling_weight": "float",
-}
 
 
 def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[ImportedShape]:
@@ -328,10 +324,10 @@ def _finite(text: str) -> float:
 
 def _check_shape(shape: Element, kind: str, where: str) -> None:
     """Raise `SceneError` or `UnknownNameError` for a property of a shape that would be passed over."""
-    known = _OF_SHAPES | {
-        "sphere": {"center": "point", "radius": "float"},
-        **{kind: {"filename": "string"} for kind in _FILES},
-    }.get(kind, {})
+    # properties that Mitsuba has, and the element of each
+    known = dict.fromkeys(("flip_normals", "face_normals", "flip_tex_coords"), "boolean")
+    known |= {"silhouette_sampling_weight": "float"} | ({"filename": "string"} if kind in _FILES else {})
+    known |= {"center": "point", "radius": "float"} if kind == "sphere" else {}
     objects = "bsdf", "ref", "emitter", "sensor", "medium", "texture", "transform"  # which are no properties
     given = [(child.get("name", ""), child.tag) for child in shape if child.tag not in objects]
     for name, tag in given:
@@ -354,8 +350,8 @@ def _form(shape: Element, kind: str, where: str) -> Triangles:
         return Triangles.of(trimesh.creation.box(extents=(2, 2, 2)))
     unit = _unit_sphere()
     centre, radius = shape.find("./point[@name='center']"), shape.find("./float[@name='radius']")
-    centre_m = vector(centre, where) if centre is not None else np.zeros(3)
-    radius_m = vector(radius, where)[0] if radius is not None else 1.0
+    centre_m = _vector(centre, where) if centre is not None else np.zeros(3)
+    radius_m = _vector(radius, where)[0] if radius is not None else 1.0
     if not radius_m > 0:
         raise SceneError(f"{where} has the radius {radius_m:g}; give a number of metres above 0.")
     return Triangles(unit.vertices_m * radius_m + centre_m, unit.triangles)
@@ -375,7 +371,7 @@ def _placed(triangles: Triangles, shape: Element, where: str) -> Triangles:
         return triangles
     if len(transforms) > 1 or transforms[0].get("name") != "to_world":
         raise SceneError(f"{where} has a <transform> besides 'to_world'; leave one, named 'to_world'.")
-    matrix = affine_transform(transforms[0], where)
+    matrix = _affine_transform(transforms[0], where)
     with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later
         return Triangles(triangles.vertices_m @ matrix[:3, :3].T + matrix[:3, 3], triangles.triangles)
 
@@ -386,7 +382,7 @@ def _text(element: Element, name: str) -> str:
     return found.get("value", "") if found is not None else ""
 
 
-def affine_transform(transform: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"]:
+def _affine_transform(transform: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"]:
     """Matrix of a `<transform>` with steps translate, rotate, scale, matrix and lookat, the first applied first.
 
     `where` begins the message of the `SceneError` for a step that is unknown, has no sound numbers, or is not affine,
@@ -404,7 +400,7 @@ def affine_transform(transform: ElementTree.Element, where: str) -> Float[FloatA
     return whole
 
 
-def vector(element: ElementTree.Element, where: str, default: float = 0.0) -> Float[FloatArray, "3"]:
+def _vector(element: ElementTree.Element, where: str, default: float = 0.0) -> Float[FloatArray, "3"]:
     """The three numbers of an element: from `x`, `y` and `z`, each with a default, or from one or three in `value`."""
     if unknown := set(element.attrib).difference(("x", "y", "z", "value", "angle", "name", "id")):
         raise SceneError(f"{where} has a <{element.tag}> with {min(unknown)!r}; give x, y and z, or value.")
@@ -429,13 +425,13 @@ def _step(element: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"]:
 
     matrix, kind = np.eye(4), element.tag
     if kind == "translate":
-        matrix[:3, 3] = vector(element, where)
+        matrix[:3, 3] = _vector(element, where)
     elif kind == "rotate":
-        axis = _direction(vector(element, where), "axis", where)
+        axis = _direction(_vector(element, where), "axis", where)
         angle_deg = _numbers(element.get("angle", ""), element, where, 1)[0]
         matrix[:3, :3] = Rotation.from_rotvec(np.radians(angle_deg) * axis).as_matrix()
     elif kind == "scale":
-        matrix[:3, :3] = np.diag(vector(element, where, default=1.0))
+        matrix[:3, :3] = np.diag(_vector(element, where, default=1.0))
     elif kind == "matrix":
         values = _numbers(element.get("value", ""), element, where, 9, 16)
         size = 3 if len(values) == 9 else 4

@@ -50,7 +50,6 @@ Orientation = tuple[Degrees, Degrees, Degrees]  # bearing, downtilt and slant: s
 _STRICT = ConfigDict(extra="forbid")
 Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
 UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
-_MOST_DOTS = 10_000
 
 
 @dataclass(frozen=True, config=_STRICT)

@@ -8,15 +8,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from xfreqbench.errors import SceneError
-from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import slabs_of, triangle_corners_m
-from xfreqbench.scene.patches import rounding_m, sides_m
+from xfreqbench.scene.patches import PLANE_TOLERANCE, rounding_m, sides_m
 from xfreqbench.types import FloatArray, IntArray
 from xfreqbench.units import format_point
 
-NEAR_M = 1e-3  # surfaces that are nearer, and share more, were most likely meant to be one
 _MAX_NAMED = 10  # overlaps in a message
-_MORTON_BITS = 10  # of each axis
 
 
 def check_overlaps(geometry: Geometry) -> None:
@@ -49,14 +47,15 @@ def check_overlaps(geometry: Geometry) -> None:
 
 
 def nearly_in_one_plane(geometry: Geometry) -> str | None:
-    """A text that names two objects with parallel surfaces less than `NEAR_M` apart, or None where there are none.
+    """A text that names two objects with parallel surfaces less than 1 mm apart, or None where there are none.
 
     They may be a pane in front of a wall, or one object that is given twice. A path passes both surfaces.
     """
     corners_m = triangle_corners_m(geometry.meshes)
     if not len(corners_m):
         return None
-    pair = next(_overlapping(corners_m, geometry.mesh_of_triangle, NEAR_M, 0.02), None)
+    # surfaces that are nearer, and share more, were most likely meant to be one
+    pair = next(_overlapping(corners_m, geometry.mesh_of_triangle, 1e-3, 0.02), None)
     if pair is None:
         return None
     large_m, small_m = corners_m[list(pair)]
@@ -128,9 +127,9 @@ def _meeting(box: Float[FloatArray, "n 14"], pairs: Int[IntArray, "2 p"]) -> Int
 
 def _morton(place_m: Float[FloatArray, "K 3"], extent_m: Float[FloatArray, "3"]) -> Int[IntArray, "K"]:
     """Numbers that put neighbours in space next to each other: the bits of the coordinates in turn."""
-    cell = (place_m / np.maximum(extent_m, 1e-9) * (2**_MORTON_BITS - 1)).astype(np.int64)
-    bits = (cell[:, :, None] >> np.arange(_MORTON_BITS)) & 1
-    return np.asarray((bits << (3 * np.arange(_MORTON_BITS) + np.arange(3)[:, None])).sum(axis=(1, 2)))
+    cell = (place_m / np.maximum(extent_m, 1e-9) * (2**10 - 1)).astype(np.int64)
+    bits = (cell[:, :, None] >> np.arange(10)) & 1
+    return np.asarray((bits << (3 * np.arange(10) + np.arange(3)[:, None])).sum(axis=(1, 2)))
 
 
 def _shared_m(

@@ -16,8 +16,7 @@ from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
 from xfreqbench.scene.model import NEAR_M
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
-COPLANAR_M = 1e-4  # and radians: neighbours that differ by less lie in one plane, as in `scene.facets`
-MAX_ON_EDGE = 16
+PLANE_TOLERANCE = 1e-4  # metres, and radians: facets that differ by less share a plane; float32 errs by less
 
 
 def mirror_patches(meshes: Sequence[SurfaceMesh]) -> Int[IntArray, "K"]:
@@ -77,15 +76,15 @@ def _coplanar(
 ) -> Int[IntArray, "K"]:
     """Patch of each triangle, from its normal, twice its area, and all pairs of neighbours.
 
-    Neighbours are parallel where their normals differ by no more than `COPLANAR_M`, or than what float32 leaves
+    Neighbours are parallel where their normals differ by no more than `PLANE_TOLERANCE`, or than what float32 leaves
     uncertain about the normal of a triangle as narrow as the narrower. So that a gently curved surface is no patch,
-    all triangles of a patch lie within `COPLANAR_M` of the plane through its largest along the mean normal; those
+    all triangles of a patch lie within `PLANE_TOLERANCE` of the plane through its largest along the mean normal; those
     beyond make others.
     """
     height_m = doubled_m2 / sides_m(corners_m).max(axis=1)
     uncertain_m = 2.0 * rounding_m(corners_m)
     tilt = np.linalg.norm(np.cross(normal[near], normal[far]), axis=1)
-    joined = tilt <= COPLANAR_M + uncertain_m / np.minimum(height_m[near], height_m[far])
+    joined = tilt <= PLANE_TOLERANCE + uncertain_m / np.minimum(height_m[near], height_m[far])
     by_area, largest = np.argsort(doubled_m2, kind="stable"), np.zeros(len(normal), dtype=np.int64)
     while True:
         near, far = near[joined], far[joined]
@@ -96,7 +95,7 @@ def _coplanar(
         mean = np.stack([np.bincount(patch, weights=upwards * normal[:, axis]) for axis in range(3)], axis=1)
         mean = mean / np.linalg.norm(mean, axis=1, keepdims=True)
         offset_m = np.einsum("kci,ki->kc", corners_m - corners_m[claimant, :1], mean[patch])
-        is_beyond = np.abs(offset_m).max(axis=1, initial=0.0) > COPLANAR_M
+        is_beyond = np.abs(offset_m).max(axis=1, initial=0.0) > PLANE_TOLERANCE
         is_beyond[largest[: len(mean)]] = False
         if not is_beyond.any():
             return patch
@@ -156,14 +155,14 @@ def _edges(vertex: Int[IntArray, "K 3"]) -> Int[IntArray, "e"]:
 
 
 def _neighbours(vertex: Int[IntArray, "K 3"]) -> tuple[IntArray, IntArray]:
-    """Pairs of triangles that share an edge; of many on one edge, each and the next `MAX_ON_EDGE`."""
+    """Pairs of triangles that share an edge; of many on one edge, each and the next 16."""
     edge, triangle = _edges(vertex), np.tile(np.arange(len(vertex)), 3)
     order = np.argsort(edge, kind="stable")
     edge, triangle = edge[order], triangle[order]
     most = int(np.bincount(edge).max(initial=1))
     pairs = [
         (triangle[:-apart][same], triangle[apart:][same])
-        for apart in range(1, min(most, MAX_ON_EDGE + 1))
+        for apart in range(1, min(most, 16 + 1))
         for same in [edge[:-apart] == edge[apart:]]
     ]
     nothing = np.zeros(0, dtype=np.int64)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from xfreqbench.errors import PlacementError, SceneError
-from xfreqbench.scene.meshes import FLAT, SIONNA, SurfaceMesh, bounds_m
+from xfreqbench.scene.meshes import SIONNA, SurfaceMesh, bounds_m
 from xfreqbench.scene.model import FAR_M, Scene
 from xfreqbench.scene.polygons import is_flat
 from xfreqbench.scene.rooms import objects_of
@@ -202,7 +202,7 @@ def are_outside(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"
     Nothing is outside of a single wall or ground, which holds nothing.
     """
     low_m, high_m = bounds_m(meshes)
-    if is_flat(np.concatenate([mesh.vertices_m for mesh in meshes]), FLAT):
+    if is_flat(np.concatenate([mesh.vertices_m for mesh in meshes]), 0.01):
         return np.zeros(len(points_m), dtype=bool)
     high_m[2] += (high_m - low_m).max()
     return np.asarray(((points_m < low_m) | (points_m > high_m)).any(axis=1))

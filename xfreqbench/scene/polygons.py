@@ -13,7 +13,6 @@ from xfreqbench.units import format_point
 
 MAX_CORNERS = 1000  # of a concave face: its time grows with the square of the number
 OVERLAP = 1e-6  # by how much of its size squared triangles of a polygon may overlap: corners are rounded
-FLATNESS = 1e-3  # of its size, by which corners of a flat face may lie off its plane
 OFF_PLANE_M = 1e-3  # by which corners of a scene's polygon may
 
 
@@ -52,9 +51,7 @@ def triangulated(
         ears = _ears(vertices_m[ring], normal[index]) if size_m2[index] > least_m2[index] else None
         if ears is not None:
             triangles[of_polygon[start[index]] + np.arange(len(ears))], are_fans = ring[ears], False
-        elif folded_m2[index] > 2 * least_m2[index] + extent_m[index] * rounding_m and is_flat(
-            vertices_m[ring], FLATNESS
-        ):
+        elif folded_m2[index] > 2 * least_m2[index] + extent_m[index] * rounding_m and is_flat(vertices_m[ring]):
             raise ValueError(
                 f"the face with a corner at {format_point(vertices_m[ring[0]])} crosses itself; "
                 "export the mesh as triangles"
@@ -103,7 +100,7 @@ def extents_m(points_m: Float[FloatArray, "n 3"]) -> Float[FloatArray, "3"]:
     return np.ptp(away_m @ np.linalg.eigh(away_m.T @ away_m)[1], axis=0)
 
 
-def is_flat(points_m: Float[FloatArray, "n 3"], share: float = FLATNESS) -> bool:
+def is_flat(points_m: Float[FloatArray, "n 3"], share: float = 1e-3) -> bool:
     """Whether points lie within a share of their extent of one plane, however it is turned."""
     extent_m = extents_m(points_m)
     return bool(extent_m[0] <= share * extent_m.max())

@@ -54,7 +54,9 @@ def entry(sources: str | None = None, **options: Any) -> Callable[[Kernel], Kern
             advice = "Set NUMBA_CACHE_DIR to a folder that can be written."
             raise XFreqBenchError(f"There is no folder for compiled kernels. {advice}") from error
         if sources is not None:
-            kernel._cache._cache_file._source_stamp = sources
+            file = kernel._cache._cache_file
+            # of another version Numba does not read the types of arguments, which these sources may lack
+            file._source_stamp, file._version = sources, f"{file._version} {sources}"
         return kernel
 
     return compiled

@@ -14,9 +14,6 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 NO_INTERACTION, SPECULAR, DIFFUSE, REFRACTION, DIFFRACTION = 0, 1, 2, 4, 8  # Sionna RT's codes
 
-_BLOCK_PATHS = 512  # of which all pairs with the others are in memory at a time
-_OF_A_PATH = ("arrival", "interactions", "surfaces", "vertices_m")
-
 
 @dataclass(frozen=True)
 class Paths:
@@ -55,7 +52,8 @@ class Paths:
         gain = np.zeros((len(links), len(first), len(links[0].carrier_hz)), np.complex128)
         for of_link, link, at in zip(gain, links, place, strict=True):
             np.add.at(of_link, at, link.gain.T)
-        kept = {name: np.concatenate([getattr(link, name) for link in links])[first][order] for name in _OF_A_PATH}
+        of_a_path = "arrival", "interactions", "surfaces", "vertices_m"
+        kept = {name: np.concatenate([getattr(link, name) for link in links])[first][order] for name in of_a_path}
         flat = gain.swapaxes(1, 2).reshape(-1, len(first))
         return cls(np.tile(links[0].carrier_hz, len(links)), flat, delay_s[order], **kept)
 
@@ -150,8 +148,8 @@ class RaggedPaths:
         last = np.cumsum(self.num_paths)
         mean = np.zeros((len(tx), len(carrier_hz)))
         for row, (start, stop) in enumerate(zip((last - self.num_paths)[tx], last[tx], strict=True)):
-            for first in range(start, stop, _BLOCK_PATHS):
-                part = slice(first, min(first + _BLOCK_PATHS, stop))
+            for first in range(start, stop, 512):  # all pairs of these with the others are in memory at a time
+                part = slice(first, min(first + 512, stop))
                 x = 2 * np.pi * radius_wavelengths * cdist(across[part], across[start:stop])
                 shared = np.divide(2 * j1(x), x, out=np.ones_like(x), where=x > 0)
                 mean[row] += (turned[part].conj() * (shared @ turned[start:stop])).sum(axis=0).real

@@ -6,22 +6,18 @@ from importlib import metadata
 
 from xfreqbench.tracing.tracer import SolverName
 
-_PACKAGES: dict[SolverName, tuple[str, ...]] = {
-    "image": ("numba", "llvmlite", "numpy"),
-    "sionna": ("sionna-rt", "mitsuba", "drjit"),
-}
-
 # Of what a channel is, whichever solver traces it; raised where channels change by more than 1e-3. Version 1 dropped
 # paths with a stretch under 1 cm, and interpolated near ones over the array.
 PHYSICS_VERSION = "2"
-SELECTION = "2"  # of chains by solver `sionna`: 1 lost paths that only some elements of the array see
 
 
 def software_versions(solver: SolverName) -> dict[str, str]:
     """Versions of the packages that a solver's channels depend on; for `sionna` that of LLVM too."""
-    versions = {name: metadata.version(name) for name in ("xfreqbench", *_PACKAGES[solver])}
+    packages = {"image": ("numba", "llvmlite", "numpy"), "sionna": ("sionna-rt", "mitsuba", "drjit")}
+    versions = {name: metadata.version(name) for name in ("xfreqbench", *packages[solver])}
     if solver == "sionna":
         from xfreqbench.tracing.sionna.llvm import llvm_version
 
-        versions |= {"llvm": llvm_version(), "selection": SELECTION}
+        # of chains; version 1 lost paths that only some elements of the array see
+        versions |= {"llvm": llvm_version(), "selection": "2"}
     return versions

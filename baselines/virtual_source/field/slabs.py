@@ -148,11 +148,6 @@ def arrays_of(*tensors: Tensor) -> list[NDArray[Any]]:
     return [tensor.detach().contiguous().numpy() for tensor in tensors]
 
 
-def _softmax(logits: Float[Tensor, "... 4"]) -> Float[Tensor, "... 4"]:
-    """The softmax over the last axis, which is faster along the first one where it is so short."""
-    return logits.movedim(-1, 0).contiguous().softmax(0).movedim(0, -1)
-
-
 class Presence(nn.Module):
     """Shares of nothing, a thick slab, a thin slab and metal in the cells of each plane: a softmax of learned logits.
 
@@ -201,8 +196,8 @@ class Presence(nn.Module):
 
     @property
     def share(self) -> Float[Tensor, "Q I J 4"]:
-        """The shares in all cells."""
-        return _softmax(self.logits)
+        """The shares in all cells; over the first axis where it is so short a softmax is faster than over the last."""
+        return self.logits.movedim(-1, 0).contiguous().softmax(0).movedim(0, -1)
 
     def held(self, touch: Touch) -> Float[Tensor, "*S"]:
         """Settled share of anything where paths meet planes; 0 where they meet none."""

@@ -26,7 +26,7 @@ from xfreqbench.scene.visibility import sees
 from xfreqbench.tracing.absorption import slab_response
 from xfreqbench.types import FloatArray, NDArray
 
-from ..room.surfaces import slab_reflection
+from ..room.surfaces import polygon_area_m2, slab_reflection
 from ..search.planes import Vector
 from ..stored import FoundPlane, FoundSlab, StoredFindings
 
@@ -48,11 +48,7 @@ class ScenePlane:
     @property
     def areas_m2(self) -> Float[FloatArray, "q"]:
         """Area of each facet."""
-        areas_m2 = []
-        for corners_m, *_ in self.facets:
-            doubled = np.linalg.norm(np.cross(corners_m[1] - corners_m[0], corners_m[-1] - corners_m[0]))
-            areas_m2.append(doubled if len(corners_m) == 4 else doubled / 2)
-        return np.array(areas_m2)
+        return np.array([polygon_area_m2(facet.corners_m) for facet in self.facets])
 
     @property
     def area_m2(self) -> float:
@@ -131,13 +127,6 @@ def compare(findings: StoredFindings, planes: Sequence[ScenePlane]) -> list[Matc
         mirrored = [_nearest(found, array_m, behind, mirror) for mirror, behind in images if not match]
         matches.append(match or min(filter(None, mirrored), key=_distance_of, default=None))
     return matches
-
-
-def not_found(matches: Sequence[Match | None], planes: Sequence[ScenePlane]) -> list[ScenePlane]:
-    """Those of the planes given to `compare` that no found plane shows, the largest first."""
-    shown = [match.plane for match in matches if match]
-    missing = [plane for plane in planes if not any(plane is other for other in shown)]
-    return sorted(missing, key=lambda plane: -plane.area_m2)
 
 
 def share_in_sight(plane: ScenePlane, meshes: Sequence[SurfaceMesh], array_m: Vector) -> float:
@@ -351,7 +340,9 @@ class ComparedFindings:
     @cached_property
     def missing(self) -> list[ScenePlane]:
         """Planes of the scene that were not found, the largest first."""
-        return not_found(self.matches, self.planes)
+        shown = [match.plane for match in self.matches if match]
+        missing = [plane for plane in self.planes if not any(plane is other for other in shown)]
+        return sorted(missing, key=lambda plane: -plane.area_m2)
 
     @cached_property
     def tx(self) -> int:

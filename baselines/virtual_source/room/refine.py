@@ -69,11 +69,6 @@ class BoxFit:
     frame: BoxFrame
     standing_m: Points
 
-    @cached_property
-    def _free_m(self) -> Points:
-        """Along the axes of the room, the places where nothing stands."""
-        return self.frame.along(self.standing_m)
-
     def fitted(
         self,
         others: Room,
@@ -132,7 +127,7 @@ class BoxFit:
         """Whether a box stands within the walls, where nothing else does."""
         place, (low_m, high_m) = self.frame.box_of(box), self.frame.bounds
         is_within = bool((place > low_m - _AT_WALL_M).all() and (place < high_m + _AT_WALL_M).all())
-        return is_within and not holds_any(place, self._free_m) and is_clear(box, self.standing_m)
+        return is_within and not holds_any(place, self.frame.along(self.standing_m)) and is_clear(box, self.standing_m)
 
 
 _MIN_GAIN = 1e-3  # of the mean SSIM, that a new box has to bring

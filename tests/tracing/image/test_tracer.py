@@ -350,5 +350,5 @@ def test_an_interruption_does_not_wait_for_threads_that_compile_or_compute(monke
 
     monkeypatch.setattr(compiled, "num_threads", lambda: 2)
     with pytest.raises(KeyboardInterrupt):
-        compiled.side_by_side(call, 2)
+        compiled.on_threads(call, 2)
     may_end.set()

@@ -26,24 +26,8 @@ LEAST_TX = 3  # a solver that is too slow for more is timed on these, or on as m
 TRIANGLES, NUM_TX = 40, 64
 SAME_M = 1e-4  # a pair of paths whose lengths differ by less is one path in two solvers
 MAX_ORDER = 6
-GROWTH_ORDER = 3
 OURS = "image"
-ABSENT = "–"
 OTHERS = tuple(name for name in SOLVERS if name not in (OURS, CONVERGED))
-GROWTHS: tuple[tuple[str, str, tuple[int, ...]], ...] = (  # what is varied, for which solver
-    ("triangles", OURS, (40, 100, 400, 1000)),  # MAX_MIRRORS is 1,000
-    ("triangles", "sionna", (40, 400, 4000)),
-    ("transmitters", OURS, (10, 100, 1000, 10_000)),
-    ("carriers", OURS, (1, 10, 100)),
-)
-PATH_COLUMNS = ("reflections", "solver", f"paths of {OURS}", "missed", "more", "greatest difference, m")
-TIME_COLUMNS = (
-    *("reflections", "solver", "set-up, s", "ms a transmitter", f"time : {OURS}", "paths a second", "dB", "peak MiB"),
-)
-GROWTH_COLUMNS = (
-    *("varied", "solver", "number", "set-up, s", "ms a transmitter", "ms a transmitter and carrier", "exponent"),
-    "peak MiB",
-)
 
 
 @dataclass(frozen=True)
@@ -173,7 +157,8 @@ def _tabulate_paths(bench: Bench, results: Results) -> None:
         f"element. Paths are the same if their lengths differ by at most {SAME_M:g} m. Missed: paths of `{OURS}` that "
         f"the solver has not; more: those that `{OURS}` has not. Solvers that shoot rays have {RAYS:,}."
     )
-    with bench.table("Paths of the solvers", note, PATH_COLUMNS) as table:
+    columns = ("reflections", "solver", f"paths of {OURS}", "missed", "more", "greatest difference, m")
+    with bench.table("Paths of the solvers", note, columns) as table:
         for (order, solver), result in results.items():
             pairs = list(zip(results[order, OURS].lengths_m, result.lengths_m, strict=True))
             if solver != OURS:
@@ -192,7 +177,9 @@ def _tabulate_times(bench: Bench, results: Results, stopped: str) -> None:
         f"of {NUM_TX} transmitters as were solved in the time. Paths a second: those to the array's centre, each with "
         f"its field at every element.{stopped}"
     )
-    with bench.table("Time of the solvers", note, TIME_COLUMNS) as table:
+    begin = "reflections", "solver", "set-up, s", "ms a transmitter"
+    columns = (*begin, f"time : {OURS}", "paths a second", "dB", "peak MiB")
+    with bench.table("Time of the solvers", note, columns) as table:
         points = []
         for (order, solver), result in results.items():
             if solver != CONVERGED and (order, CONVERGED) in results:
@@ -208,23 +195,30 @@ def _tabulate_times(bench: Bench, results: Results, stopped: str) -> None:
 
 def _tabulate_growth(bench: Bench, seconds: float, limit_s: float) -> None:
     note = (
-        f"{GROWTH_ORDER} reflections on one core; of triangles, transmitters and carriers one grows, the others stay "
+        f"3 reflections on one core; of triangles, transmitters and carriers one grows, the others stay "
         f"at {TRIANGLES}, {NUM_TX} and 1. Exponent: slope of the logarithm of the whole time after set-up over that of "
         f"the number, up to the row. `{OURS}` mirrors at {MAX_MIRRORS:,} triangles at most; for more `auto` takes "
         "`sionna`."
     )
-    with bench.table("Growth of the time", note, GROWTH_COLUMNS) as table:
+    times = "set-up, s", "ms a transmitter", "ms a transmitter and carrier"
+    columns = ("varied", "solver", "number", *times, "exponent", "peak MiB")
+    with bench.table("Growth of the time", note, columns) as table:
         points = list[BenchPoint]()
-        for varied, solver, numbers in GROWTHS:
-            totals_s, exponent = dict[int, float](), ABSENT
+        for varied, solver, numbers in (  # what is varied, for which solver
+            ("triangles", OURS, (40, 100, 400, 1000)),  # MAX_MIRRORS is 1,000
+            ("triangles", "sionna", (40, 400, 4000)),
+            ("transmitters", OURS, (10, 100, 1000, 10_000)),
+            ("carriers", OURS, (1, 10, 100)),
+        ):
+            totals_s, exponent = dict[int, float](), "–"
             for number in numbers:
                 task = _task(varied, solver, number, seconds, limit_s)
                 result = measured(task)
                 if result is None:  # what is greater would not end either
-                    table.add(varied, solver, f"{number:,}", f"over {limit_s:g} in all", *[ABSENT] * 4)
+                    table.add(varied, solver, f"{number:,}", f"over {limit_s:g} in all", *["–"] * 4)
                     break
                 totals_s[number] = result.tx_s * task.num_tx
-                exponent = ABSENT
+                exponent = "–"
                 if len(totals_s) > 1:
                     logs = np.log(list(totals_s)), np.log(list(totals_s.values()))
                     exponent = f"{np.polyfit(*logs, 1)[0]:.2f}"
@@ -243,4 +237,4 @@ def _task(varied: str, solver: str, number: int, seconds: float, limit_s: float)
         for name, default in (("triangles", TRIANGLES), ("transmitters", NUM_TX), ("carriers", 1))
     )
     carriers_hz = tuple(np.linspace(1e9, 94e9, num_carriers)) if num_carriers > 1 else CARRIERS_HZ
-    return PeerTask(solver, triangles, GROWTH_ORDER, num_tx, seconds, carriers_hz, limit_s)
+    return PeerTask(solver, triangles, 3, num_tx, seconds, carriers_hz, limit_s)

@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float, Int
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import triangle_corners_m
 from xfreqbench.tracing.image.edges import Edge, find_edges
-from xfreqbench.tracing.image.kernels.arrays import CentrePath, Facets, Media, Scene, Sums
-from xfreqbench.tracing.image.kernels.edge_paths import Limits, Room, add_over_edges, paths_over_edges
+from xfreqbench.tracing.image.kernels.arrays import CentrePath, Facets, Media, SceneArrays, Sums
+from xfreqbench.tracing.image.kernels.edge_paths import EdgeContext, Limits, add_over_edges, paths_over_edges
 from xfreqbench.tracing.image.kernels.edge_sides import Reflectors, find_sides
 from xfreqbench.tracing.image.kernels.slabs import stack_coefficients
 from xfreqbench.tracing.image.kernels.wedges import Wedges
@@ -39,7 +39,7 @@ class Diffraction:
         geometry: Geometry,
         mirrors: MirrorPlanes,
         kind: Int[IntArray, "2 S"],
-        scene: Scene,
+        scene: SceneArrays,
         surface: Int[IntArray, "Q"],
         corners_m: Float[FloatArray, "Q 4 3"],
         points_m: Float[FloatArray, "O 3"],
@@ -57,9 +57,9 @@ class Diffraction:
         wedges = _wedges(edges, kind[are_turned, faces], np.asarray(is_opaque[faces].any(axis=1)))
         reflectors = _reflectors(len(mirrors.planes), facets, corners_m, scene.media)
         sides = find_sides(facets, reflectors, wedges, points_m, limits.max_planes)
-        self.room, self._sought = Room(scene, wedges, reflectors), (sides, limits)
+        self.room, self._sought = EdgeContext(scene, wedges, reflectors), (sides, limits)
 
-    def in_scene(self, scene: Scene) -> Diffraction:
+    def in_scene(self, scene: SceneArrays) -> Diffraction:
         """The same edges for a scene that differs in its antennas alone."""
         other = copy(self)
         other.room = self.room._replace(scene=scene)

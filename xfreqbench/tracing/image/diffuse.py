@@ -17,9 +17,9 @@ from xfreqbench.errors import SceneError
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.model import ReceiverArray
-from xfreqbench.tracing.image.kernels.arrays import CentrePath, Media, Scene, Sums
+from xfreqbench.tracing.image.kernels.arrays import CentrePath, Media, SceneArrays, Sums
 from xfreqbench.tracing.image.kernels.diffuse import (
-    Room,
+    DiffuseContext,
     Roughness,
     Tiles,
     Views,
@@ -35,8 +35,6 @@ from xfreqbench.types import FloatArray, IntArray, NDArray
 
 LEAST_TILE_M = 0.02
 MAX_TILES = 1_000_000  # which take some gigabytes
-TILE_BEAMS = 0.3  # sides of a tile, seen from the array, times the array's diameter in wavelengths
-COARSER = 4.0  # are tiles of paths over a mirror, of which there are many for each tile
 
 
 class DiffuseReflection:
@@ -48,7 +46,7 @@ class DiffuseReflection:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: SceneArrays,
         media: Media,
         slabs: Sequence[Slab],
         mirrors: MirrorPlanes,
@@ -64,28 +62,29 @@ class DiffuseReflection:
         self._receiver_m = np.array(receiver.position_m, dtype=np.float64)
         element = receiver.element_position_wavelengths
         diameter = 2 * float(np.linalg.norm(element - element.mean(axis=0), axis=1).max())
-        tile_rad = min(tile_rad, TILE_BEAMS / max(diameter, 1e-9))
+        # a tile's side, seen from the array, is 0.3 of its beamwidth: one over its diameter in wavelengths
+        tile_rad = min(tile_rad, 0.3 / max(diameter, 1e-9))
         scattering = [slab.scattering for slab in slabs]
         is_rough = np.array([pattern is not None for pattern in scattering], bool)
         rough = np.flatnonzero(is_rough[facets.slab])
         windows = Windows(mirrors.axis, mirrors.low_m, mirrors.high_m)
         self._rooms = []
         for num_mirrors in range(1 + min(most_mirrors, settings.max_depth - 1)):
-            coarser = COARSER if num_mirrors else 1.0
+            coarser = 4.0 if num_mirrors else 1.0  # for there are many paths over a mirror for each tile
             whole, sides_m = rough, corners_m[rough, :3].copy()
             sides_m[:, 1:] -= sides_m[:, :1]
-            whole, sides_m = divided(
+            whole, sides_m = _divided(
                 whole, sides_m, facets.is_triangle, self._receiver_m, coarser * tile_m, coarser * tile_rad
             )
             turns = np.random.default_rng([settings.seed, num_mirrors]).uniform(size=len(whole))
-            tiles = Tiles(middles_m(sides_m, facets.is_triangle[whole]), sides_m, whole, turns)
+            tiles = Tiles(_middles_m(sides_m, facets.is_triangle[whole]), sides_m, whole, turns)
             seen = find_views(facets, windows, tiles, self._receiver_m, self._depth, num_mirrors)
             tile, plane = np.nonzero(seen)
             at = responses(facets, media, windows, tiles, tile, plane - 1, self._receiver_m, self._depth)
             views = Views(np.searchsorted(tile, np.arange(len(whole) + 1)), plane - 1, *at)
-            self._rooms.append(Room(facets, media, roughness_of(scattering), windows, tiles, views))
+            self._rooms.append(DiffuseContext(facets, media, roughness_of(scattering), windows, tiles, views))
 
-    def in_scene(self, scene: Scene, media: Media) -> DiffuseReflection:
+    def in_scene(self, scene: SceneArrays, media: Media) -> DiffuseReflection:
         """The same tiles in a scene that differs in its antennas alone; the lanes of `media` are its carriers."""
         other = copy(self)
         other._scene, other._rooms = scene, []
@@ -111,7 +110,7 @@ class DiffuseReflection:
         return found
 
 
-def divided(
+def _divided(
     facet: Int[IntArray, "n"],
     sides_m: Float[FloatArray, "n 3 3"],
     is_triangle: Bool[NDArray[np.bool_], "Q"],
@@ -134,7 +133,7 @@ def divided(
         turned = [(corner, u, v), (corner, v, u), (corner + u, v - u, -u)]
         sides_m = np.choose(longest[:, None, None], [np.stack(parts, axis=1) for parts in turned])
         reach_m = np.linalg.norm(u, axis=1) + np.linalg.norm(v, axis=1)
-        away_m = np.linalg.norm(middles_m(sides_m, triangle) - receiver_m, axis=1) - reach_m / 2
+        away_m = np.linalg.norm(_middles_m(sides_m, triangle) - receiver_m, axis=1) - reach_m / 2
         is_small = length_m.max(axis=0) <= np.clip(tile_rad * away_m, LEAST_TILE_M, tile_m)
         done.append((facet[is_small], sides_m[is_small]))
         facet, sides_m, triangle = facet[~is_small], sides_m[~is_small], triangle[~is_small]
@@ -152,7 +151,7 @@ def divided(
     return np.concatenate(facets), np.concatenate(sides)
 
 
-def middles_m(sides_m: Float[FloatArray, "n 3 3"], is_triangle: Bool[NDArray[np.bool_], "n"]) -> FloatArray:
+def _middles_m(sides_m: Float[FloatArray, "n 3 3"], is_triangle: Bool[NDArray[np.bool_], "n"]) -> FloatArray:
     """The centroid (n, 3) of each tile."""
     part = np.where(is_triangle, 3, 2)[:, None]
     return np.asarray(sides_m[:, 0] + (sides_m[:, 1] + sides_m[:, 2]) / part)

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from xfreqbench.scene.facets import PLANE_TOLERANCE, PlanarFacet
+from xfreqbench.scene.facets import PlanarFacet
+from xfreqbench.scene.patches import PLANE_TOLERANCE
 from xfreqbench.types import FloatArray, IntArray
 
 BESIDE_M = 1e-3  # how far beside an edge a facet must reach to count as one of its faces; shorter edges are none

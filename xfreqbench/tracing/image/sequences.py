@@ -6,13 +6,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from xfreqbench.tracing.image.kernels.arrays import NUM_CHUNKS, Aperture, Facets
-from xfreqbench.tracing.image.kernels.compiled import side_by_side
+from xfreqbench.tracing.image.kernels.compiled import on_threads
 from xfreqbench.tracing.image.kernels.sequences import Shots, Trie, joined, shot
 from xfreqbench.tracing.image.surfaces import MirrorPlanes
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray
-
-UNPRUNED_M = 1e30  # radius of an aperture of which every candidate passes the rough test
 
 
 def sequences_of(
@@ -36,7 +34,7 @@ def sequences_of(
     turn_rad = rng.uniform(0, 2 * np.pi, len(origins_m))
     num_rays = max(1, settings.rays // len(origins_m))
     shots = Shots(origins_m, turn_rad, num_rays, settings.max_depth, num_planes)
-    found = side_by_side(lambda chunk: shot(facets, shots, chunk), NUM_CHUNKS * len(origins_m))
+    found = on_threads(lambda chunk: shot(facets, shots, chunk), NUM_CHUNKS * len(origins_m))
     parent, plane = np.divmod(joined(np.concatenate(found), num_planes, most), num_planes)
     parent[0] = plane[0] = -1
     return parent, plane
@@ -79,7 +77,7 @@ def trie_of(
         place_m[rows, 2] -= offset_m
         along_normal = np.einsum("nkc,nc->nk", corner_m[parent[rows]], normal)
         corner_m[rows] = corner_m[parent[rows]] - 2 * along_normal[:, :, None] * normal[:, None]
-        place_m[rows, 7] = np.abs(along_normal).max(axis=1) + 1e-9 if radius_m < UNPRUNED_M else UNPRUNED_M
+        place_m[rows, 7] = np.abs(along_normal).max(axis=1) + 1e-9 if radius_m < 1e30 else 1e30
         before = parent[rows]
         place_m[rows, 3:7] = _shone_on(place_m[before], plane[before], plane[rows], apex_m, mirrors, radius_m)
         is_parent = np.zeros(len(parent), dtype=bool)

@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from xfreqbench.scene.facets import PLANE_TOLERANCE, Geometry, PlanarFacet, group_by_plane, planar_facets
+from xfreqbench.scene.facets import Geometry, PlanarFacet, group_by_plane, planar_facets
 from xfreqbench.scene.meshes import triangle_corners_m
+from xfreqbench.scene.patches import PLANE_TOLERANCE
 from xfreqbench.tracing.image.kernels.arrays import Facets
 from xfreqbench.tracing.image.kernels.tree import divide
 from xfreqbench.types import FloatArray, IntArray, NDArray

@@ -29,35 +29,25 @@ from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh, slabs_of
-from xfreqbench.scene.model import Antenna as SceneAntenna
-from xfreqbench.scene.model import ReceiverArray, Scene
+from xfreqbench.scene.model import Antenna, ReceiverArray, Scene
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image.diffraction import Diffraction
 from xfreqbench.tracing.image.diffuse import DiffuseReflection
-from xfreqbench.tracing.image.kernels.arrays import LANES, Antenna, Aperture, Media, Sums
-from xfreqbench.tracing.image.kernels.arrays import Scene as KernelScene
+from xfreqbench.tracing.image.kernels.arrays import SIMD_WIDTH, AntennaArrays, Aperture, Media, SceneArrays, Sums
 from xfreqbench.tracing.image.kernels.channels import add_channel, paths_to_centre
-from xfreqbench.tracing.image.kernels.compiled import side_by_side
+from xfreqbench.tracing.image.kernels.compiled import on_threads
 from xfreqbench.tracing.image.kernels.edge_paths import Limits
 from xfreqbench.tracing.image.kernels.edge_sides import MAX_SIDE_PLANES
 from xfreqbench.tracing.image.kernels.slabs import stack_coefficients
-from xfreqbench.tracing.image.sequences import UNPRUNED_M, sequences_of, trie_of
+from xfreqbench.tracing.image.sequences import sequences_of, trie_of
 from xfreqbench.tracing.image.surfaces import MirrorPlanes, facets_of
 from xfreqbench.tracing.paths import Paths
-from xfreqbench.tracing.tracer import Channel, TraceSettings
+from xfreqbench.tracing.tracer import INTERACTIONS, Channel, TraceSettings
 from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
-SUPPORTED_INTERACTIONS = frozenset({"specular", "refraction", "diffraction", "diffuse"})
 MAX_MIRRORS = 1000  # with more, most sequences of mirrors are met by a single ray or by none
-MOST_AMPLITUDE = {"iso": 1.0, "dipole": math.sqrt(1.5), "tr38901": 10**0.4}  # of an antenna, in any direction
-OPAQUE_TRANSMISSION = 1e-6  # −120 dB through a slab at normal incidence
-# Paths are sought from the array as wide as it is at 1 GHz, and through slabs that pass waves of 1 GHz; at the lowest
-# carrier where that is lower.
-SEARCHED_HZ = 1e9
-# Of a 4×4 array: maps of 68 dB or better at the 5th percentile; 8×8: 40 dB.
-MAX_INTERPOLATED_WAVELENGTHS = 1.5
 
 
 @dataclass(frozen=True)
@@ -86,10 +76,9 @@ class ImageSavings:
 
 
 def can_solve(geometry: Geometry, settings: TraceSettings) -> bool:
-    """Whether this solver takes the interactions, diffuse reflection where a material scatters, and as many mirrors."""
-    is_supported = SUPPORTED_INTERACTIONS.issuperset(settings.named_interactions)
+    """Whether this solver takes as many mirrors, and, if diffuse reflection is asked for, a material scatters."""
     can_scatter = "diffuse" not in settings.named_interactions or bool(geometry.scattering)
-    return is_supported and can_scatter and geometry.num_mirrors <= MAX_MIRRORS
+    return can_scatter and geometry.num_mirrors <= MAX_MIRRORS
 
 
 class ImageTracer:
@@ -107,7 +96,7 @@ class ImageTracer:
         settings = settings.by("image")
         if not can_solve(geometry, settings):
             raise SceneError(
-                f"The image solver takes {' and '.join(sorted(SUPPORTED_INTERACTIONS))} among at most {MAX_MIRRORS:,} "
+                f"The image solver takes {' and '.join(sorted(INTERACTIONS))} among at most {MAX_MIRRORS:,} "
                 f"mirrors, diffuse where a material scatters, but scene {scene.name!r} has {geometry.num_mirrors:,}"
                 f"{'' if geometry.scattering else ', none of them rough,'} and is asked for "
                 f"{', '.join(settings.named_interactions)}. Use --solver sionna, or let fewer mirror: "
@@ -117,20 +106,23 @@ class ImageTracer:
         self.carrier_hz = np.asarray(carrier_hz, dtype=np.float64)
         self._order = np.argsort(self.carrier_hz, kind="stable")
         ascending = self.carrier_hz[self._order]
-        aperture = aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
-        self._media_at_centre, kind = media_of(geometry.meshes, ascending, settings.materials, scene)
+        aperture = _aperture_of(scene.receiver, SPEED_OF_LIGHT_M_S / ascending, savings)
+        self._media_at_centre, kind = _media_of(geometry.meshes, ascending, settings.materials, scene)
         media = self._media_at_centre.in_lanes(*aperture.weight.shape)
-        lowest_hz = min(ascending[0], SEARCHED_HZ)  # what follows must not depend on what other carriers are asked for
-        passing, _ = media_of(geometry.meshes, np.array([lowest_hz]), "extrapolate", scene)
-        is_opaque = are_opaque(passing) | ("refraction" not in settings.named_interactions)
+        # Paths are sought from the array as wide as it is at 1 GHz, and through slabs that pass waves of 1 GHz, or of
+        # the lowest carrier where that is lower: what follows must not depend on what other carriers are asked for.
+        lowest_hz = min(ascending[0], 1e9)
+        passing, _ = _media_of(geometry.meshes, np.array([lowest_hz]), "extrapolate", scene)
+        is_opaque = _are_opaque(passing) | ("refraction" not in settings.named_interactions)
         mirrors = MirrorPlanes(geometry)
         self.facets, self._surface, corners_m = facets_of(geometry, mirrors, kind, is_opaque)
         quads = _quads(scene.receiver.rows, scene.receiver.cols)
         if not savings.share_visibility:
             quads = np.repeat(np.unique(quads)[:, None], 4, axis=1)
-        self._scene = KernelScene(self.facets, media, aperture, quads)
+        self._scene = SceneArrays(self.facets, media, aperture, quads)
         ends = scene.transmitter_antenna, scene.receiver.antenna
-        self._most_antennas = math.prod(MOST_AMPLITUDE[antenna.pattern] for antenna in ends)
+        amplitude = {"iso": 1.0, "dipole": math.sqrt(1.5), "tr38901": 10**0.4}  # the most in any direction
+        self._most_antennas = math.prod(amplitude[antenna.pattern] for antenna in ends)
         receiver_m = np.asarray(scene.receiver.position_m, dtype=np.float64)
         points_m = np.vstack([receiver_m, receiver_m + ascending[0] / lowest_hz * aperture.corner_m[0]])
         origins_m, most = np.unique(points_m, axis=0), savings.max_reflections
@@ -151,7 +143,7 @@ class ImageTracer:
             self.diffuse = DiffuseReflection(
                 self._scene,
                 self._media_at_centre,
-                kinds_of(geometry.meshes),
+                _kinds_of(geometry.meshes),
                 mirrors,
                 self._surface,
                 corners_m,
@@ -166,7 +158,7 @@ class ImageTracer:
         """A tracer of a scene that differs in its antennas alone, which shares the sequences that were found."""
         other = copy(self)
         ascending, shape = self.carrier_hz[self._order], self._scene.aperture.weight.shape
-        other._media_at_centre, _ = media_of(self._meshes, ascending, self.settings.materials, scene)
+        other._media_at_centre, _ = _media_of(self._meshes, ascending, self.settings.materials, scene)
         other._scene = self._scene._replace(media=other._media_at_centre.in_lanes(*shape))
         other._floor_at = {}
         if self.diffraction is not None:
@@ -191,7 +183,7 @@ class ImageTracer:
             if self.diffuse is not None:
                 self.diffuse.add_channel(tx[i], sums, num_paths[i])
 
-        side_by_side(add, len(tx))
+        on_threads(add, len(tx))
         self._floor_at = dict(zip(map(bytes, tx), floors, strict=True))
         cfr, original = real + 1j * imag, np.argsort(self._order)
         return Channel(cfr[:, original], num_paths[:, original])
@@ -243,20 +235,20 @@ def _quads(rows: int, cols: int) -> Int[IntArray, "B 4"]:
     return (row[:, None] * cols + col[None]).reshape(-1, 4)
 
 
-def kinds_of(meshes: Iterable[SurfaceMesh]) -> list[Slab]:
+def _kinds_of(meshes: Iterable[SurfaceMesh]) -> list[Slab]:
     """The distinct slabs of some meshes, then those that differ from all of them with their back to the front."""
     kinds = slabs_of(meshes)
     return list(dict.fromkeys([*kinds, *(slab.turned for slab in kinds)]))
 
 
-def media_of(
+def _media_of(
     meshes: Sequence[SurfaceMesh], carrier_hz: Float[FloatArray, "F"], policy: MaterialPolicy, scene: Scene
 ) -> tuple[Media, Int[IntArray, "2 S"]]:
     """Slabs of every material and thickness, one lane a carrier, with the antennas; and the slab of each mesh.
 
     The slab of a mesh stands as it is, and with its back to the front.
     """
-    kinds = kinds_of(meshes)
+    kinds = _kinds_of(meshes)
     layers = [layer for slab in kinds for layer in slab.layers]
     first = np.cumsum([0, *(len(slab.layers) for slab in kinds)])
     eta = [[complex_permittivity(layer.material, float(f), policy) for layer in layers] for f in carrier_hz]
@@ -265,7 +257,7 @@ def media_of(
     phase_thickness = 2 * np.pi * carrier_hz[:, None] / SPEED_OF_LIGHT_M_S * thickness_m
     lanes = np.stack([permittivity.real, permittivity.imag, phase_thickness]).transpose(2, 0, 1)
     lanes = np.ascontiguousarray(lanes)  # of one carrier too: kernels are compiled for each order of axes
-    lanes = np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge")
+    lanes = np.pad(lanes, [(0, 0), (0, 0), (0, SIMD_WIDTH)], mode="edge")
     specular = np.array([np.sqrt(1 - (slab.scattering.coefficient if slab.scattering else 0) ** 2) for slab in kinds])
     transmitter, receiver = (_antenna(antenna) for antenna in (scene.transmitter_antenna, scene.receiver.antenna))
     if abs(np.dot(transmitter.axis, receiver.axis)) > 1 - 1e-12:
@@ -278,23 +270,23 @@ def media_of(
     return media, np.array(kind, dtype=np.int64).reshape(-1, 2).T
 
 
-def _antenna(antenna: SceneAntenna) -> Antenna:
+def _antenna(antenna: Antenna) -> AntennaArrays:
     """An antenna as kernels take it."""
     antenna = antenna.as_vertical
     ahead, _, axis = ((x, y, z) for x, y, z in antenna.rotation.T.tolist())
     x, y, z = frame_rotation(axis)[:, 0].tolist()
     is_dipole, is_directive = antenna.pattern == "dipole", antenna.pattern == "tr38901"
-    return Antenna(antenna.polarization == "H", is_dipole, is_directive, axis, (x, y, z), ahead)
+    return AntennaArrays(antenna.polarization == "H", is_dipole, is_directive, axis, (x, y, z), ahead)
 
 
-def are_opaque(media: Media) -> Bool[NDArray[np.bool_], "K"]:
-    """Whether each kind of slab passes less than `OPAQUE_TRANSMISSION` at the lowest carrier, where it passes most."""
+def _are_opaque(media: Media) -> Bool[NDArray[np.bool_], "K"]:
+    """Whether each kind of slab passes less than −120 dB at the lowest carrier, where it passes most."""
     kinds = [slice(*pair) for pair in pairwise(media.first)]
     layers = [(media.permittivity[0, kind], media.phase_thickness[0, kind]) for kind in kinds]
-    return np.array([abs(stack_coefficients(1.0, *stack)[2]) < OPAQUE_TRANSMISSION for stack in layers], bool)
+    return np.array([abs(stack_coefficients(1.0, *stack)[2]) < 1e-6 for stack in layers], bool)
 
 
-def aperture_of(receiver: ReceiverArray, wavelength_m: Float[FloatArray, "F"], savings: ImageSavings) -> Aperture:
+def _aperture_of(receiver: ReceiverArray, wavelength_m: Float[FloatArray, "F"], savings: ImageSavings) -> Aperture:
     """The array at each wavelength as the kernels take it, offsets from its centre in world axes."""
     element = receiver.element_position_wavelengths
     half = np.abs(element).max(axis=0)
@@ -312,13 +304,15 @@ def aperture_of(receiver: ReceiverArray, wavelength_m: Float[FloatArray, "F"], s
         corner_m=in_metres(corner),
         node_m=np.ascontiguousarray(in_metres(node).reshape(-1, 3).T),
         weight=np.kron(weight_y, weight_x).astype(np.float64),
-        radius_m=float(np.linalg.norm(half) * wavelength_m[0]) if savings.prune else UNPRUNED_M,
+        # by that of 1e30 every candidate passes the rough test
+        radius_m=float(np.linalg.norm(half) * wavelength_m[0]) if savings.prune else 1e30,
     )
 
 
 def _nodes(position: Float[FloatArray, "n"], num_nodes: int) -> tuple[Float[FloatArray, "k"], Float[FloatArray, "k n"]]:
     """Evenly spread nodes along one axis of the array, in wavelengths, and their Lagrange weights at its elements."""
-    if num_nodes >= len(position) or position[-1] - position[0] > MAX_INTERPOLATED_WAVELENGTHS:
+    # 1.5 wavelengths: of a 4×4 array maps of 68 dB or better at the 5th percentile; 8×8: 40 dB
+    if num_nodes >= len(position) or position[-1] - position[0] > 1.5:
         return position, np.eye(len(position))  # wider arrays have a node at every element
     nodes = np.linspace(position[0], position[-1], num_nodes) if num_nodes > 1 else np.zeros(1)
     weight = np.ones((num_nodes, len(position)))

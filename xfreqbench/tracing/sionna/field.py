@@ -139,7 +139,7 @@ class Rays:
             delay_s=length_m[order] / SPEED_OF_LIGHT_M_S,
             arrival=arrival[order],
             interactions=interactions[order],
-            surfaces=surfaces_met(self.radio_scene, buffer, interactions)[order],
+            surfaces=_surfaces_met(self.radio_scene, buffer, interactions)[order],
             vertices_m=vertices_m[order],
         )
 
@@ -181,7 +181,7 @@ def path_interactions(buffer: Any, max_depth: int) -> tuple[Int[NDArray[np.int64
     return interactions, vertices_m
 
 
-def surfaces_met(
+def _surfaces_met(
     radio_scene: RadioScene, buffer: Any, interactions: Int[NDArray[np.int64], "P D"]
 ) -> Int[NDArray[np.int64], "P D"]:
     """Index of the mesh that each path of a buffer meets at each interaction, −1 where there is none."""

@@ -22,7 +22,6 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 Generator = rt.path_solvers.sb_deterministic.SBDeterministicCandidateGenerator
 
-MAX_PATHS = 1_000_000
 MAX_LANES = 30_000_000  # rays × depth × targets in one call of the deterministic generator: about 1.5 GB
 
 
@@ -107,7 +106,7 @@ class ForwardRays(Rays):
             src_positions=point3f(tx),
             tgt_positions=point3f(target_m),
             samples_per_src=self.settings.rays,
-            max_num_paths_per_src=MAX_PATHS + num_diffuse,
+            max_num_paths_per_src=1_000_000 + num_diffuse,
             max_depth=self.settings.max_depth,
             los=True,
             specular_reflection="specular" in interactions,

@@ -20,7 +20,6 @@ from xfreqbench.tracing.sionna.chains import Chains, Planes
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
 NEAR = 6.0  # times the array's radius: nearer images are kept, for the disc is no longer a disc
-_SECOND_ORDER = 1 / (1 - 1 / NEAR)  # how much wider the disc may be than to first order
 _SLACK_M = 1e-3  # of vertices that are stored in single precision
 
 
@@ -93,7 +92,8 @@ class Reach:
             cosine = np.abs(here - there) / left_m
             travelled = 1 - (1 - share) * left_m / total_m[rows]
             point_m[rows] += share[:, None] * ahead_m
-            margin_m[rows] = _SECOND_ORDER * self.radius_m * travelled / cosine + _SLACK_M
+            second_order = 1 / (1 - 1 / NEAR)  # how much wider the disc may be than to first order
+            margin_m[rows] = second_order * self.radius_m * travelled / cosine + _SLACK_M
             plane = self.planes.index[triangle[crossing]]
             kept[rows[~self.boxes.are_near(plane, point_m[rows], margin_m[rows])]] = False
         return kept

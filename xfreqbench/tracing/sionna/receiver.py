@@ -28,8 +28,6 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 PathsBuffer = rt.path_solvers.paths_buffer.PathsBuffer
 
-MAX_ROWS = 500_000  # paths solved in one call: about 400 bytes each
-TRANSMITTERS_AT_ONCE = 8
 RAY_OFFSET = 1e-5  # of the largest coordinate: keeps a ray off the surface from which it starts
 
 
@@ -85,8 +83,8 @@ class ReceiverRays(Rays):
         shape = len(tx_position_m), len(self.carrier_hz), self.receiver.num_elements
         cfr = np.zeros(shape, dtype=np.complex128)
         num_paths = np.zeros(shape[:2], dtype=np.int32)
-        for start in range(0, len(tx_position_m), TRANSMITTERS_AT_ONCE):
-            batch = slice(start, start + TRANSMITTERS_AT_ONCE)
+        for start in range(0, len(tx_position_m), 8):
+            batch = slice(start, start + 8)
             candidates = self._candidates(tx_position_m[batch])
             for index, carrier in enumerate(self.carrier_hz.tolist()):
                 solved = self._channel_at(carrier, tx_position_m[batch], candidates)
@@ -139,7 +137,8 @@ class ReceiverRays(Rays):
         Yields the pair and the target of each path that exists, and Sionna's buffer of these paths.
         """
         num_targets = len(target_m)
-        pairs_at_once = max(1, MAX_ROWS // num_targets)
+        # paths solved in one call: about 400 bytes each
+        pairs_at_once = max(1, 500_000 // num_targets)
         for start in range(0, len(tx), pairs_at_once):
             pair = np.repeat(np.arange(start, min(start + pairs_at_once, len(tx))), num_targets)
             target = np.tile(np.arange(num_targets), len(pair) // num_targets)

@@ -21,8 +21,6 @@ from xfreqbench.tracing.sionna.scene import RadioScene
 from xfreqbench.tracing.tracer import Channel, TraceSettings
 from xfreqbench.types import FloatArray
 
-ONE_WAY = frozenset({"diffraction", "diffuse"})
-
 
 class SionnaTracer:
     """Sionna RT on one scene, ready for any transmitter: a `Tracer`.
@@ -48,7 +46,7 @@ class SionnaTracer:
         prepared = PreparedScene.of(scene)
         receiver, meshes = prepared.scene.receiver, prepared.geometry.meshes
         check_dispersion([mesh.slab.homogeneous for mesh in meshes], carriers.tolist(), settings.materials)
-        is_one_way = ONE_WAY & set(settings.named_interactions)
+        is_one_way = frozenset({"diffraction", "diffuse"}) & set(settings.named_interactions)
         shooting: type[ForwardRays | ReceiverRays] = ForwardRays if is_one_way else ReceiverRays
         self._origin_m = receiver.local_origin_m
         x, y, z = (receiver.position_m - self._origin_m).tolist()

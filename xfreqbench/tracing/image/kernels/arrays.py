@@ -27,13 +27,12 @@ Vector = tuple[float, float, float]
 CentrePath = tuple[C128, float, F64, I64, I64, F64]
 
 MIN_SEGMENT_M = 1e-6  # a path with a shorter stretch is an artefact of rounding, at an edge or in a corner
-COPLANAR_M = 1e-4  # as in `scene.facets`: facets of one plane that lie on each other count once
 FAR = 1e30  # where a ray meets nothing
 MAX_CROSSED = 16  # slabs on one segment; a path that crosses more is dropped, but is deeper than the limit
 MAX_BOXES = 256  # on the stack of boxes still to look into
 MAX_NEAR = 32  # facets that a bundle may meet on one segment; of more, each path is followed by itself
-BLOCK = 64  # lanes that waves are carried in at once, a multiple of `LANES`
-LANES = 8  # of a vector register of AVX-512: with fewer, the compiled loops work in single numbers
+BLOCK = 64  # lanes that waves are carried in at once, a multiple of `SIMD_WIDTH`
+SIMD_WIDTH = 8  # of a vector register of AVX-512: with fewer, the compiled loops work in single numbers
 NUM_CHUNKS = 64  # that the rays are divided into, for the threads
 
 
@@ -56,7 +55,7 @@ class Facets(NamedTuple):
     last: I64  # (N,)
 
 
-class Antenna(NamedTuple):
+class AntennaArrays(NamedTuple):
     """What the antennas at one end of a path send or take, with unit vectors in world axes."""
 
     is_horizontal: bool
@@ -76,16 +75,16 @@ class Media(NamedTuple):
 
     permittivity: C128  # (F, N) relative
     phase_thickness: F64  # (F, N): 2π d / λ
-    lanes: F64  # (N, 3, L + LANES): real and imaginary part of the permittivity, phase thickness
+    lanes: F64  # (N, 3, L + SIMD_WIDTH): real and imaginary part of the permittivity, phase thickness
     first: I64  # (K + 1,): layers first[k] to first[k + 1] are of kind k, the first at the front
     specular: F64  # (K,): share of the reflected field that the slab does not scatter, √(1 − S²); 1 where it is smooth
-    antennas: F64  # (2, 12): `Antenna` of the transmitter and of the receiver, in one array, for tuples cost time
+    antennas: F64  # (2, 12): `AntennaArrays` of the transmitter and of the receiver, in one array, for tuples cost time
 
     def in_lanes(self, num_nodes: int, num_elements: int) -> Media:
         """The media of an array of so many nodes and elements, from those with one lane for each carrier."""
-        of_carrier = self.lanes[:, :, :-LANES]
+        of_carrier = self.lanes[:, :, :-SIMD_WIDTH]
         lanes = np.concatenate([np.repeat(of_carrier, n, axis=2) for n in (num_nodes, num_elements)], axis=2)
-        return self._replace(lanes=np.pad(lanes, [(0, 0), (0, 0), (0, LANES)], mode="edge"))
+        return self._replace(lanes=np.pad(lanes, [(0, 0), (0, 0), (0, SIMD_WIDTH)], mode="edge"))
 
 
 class Aperture(NamedTuple):
@@ -99,7 +98,7 @@ class Aperture(NamedTuple):
     radius_m: float  # of the widest aperture; 1e30 lets every candidate pass the first rough test
 
 
-class Scene(NamedTuple):
+class SceneArrays(NamedTuple):
     """What is the same for all paths."""
 
     facets: Facets

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 
-from .arrays import COPLANAR_M, F64, FAR, MAX_CROSSED, MAX_NEAR, MIN_SEGMENT_M, Facets, Path, Walk
+from xfreqbench.scene.patches import PLANE_TOLERANCE
+
+from .arrays import F64, FAR, MAX_CROSSED, MAX_NEAR, MIN_SEGMENT_M, Facets, Path, Walk
 from .compiled import bare, part
 from .tree import SLACK_M, Bundle, beyond_edges, next_leaf, side_of, tube_between
 
@@ -16,11 +18,11 @@ NOWHERE, MIXED, EVERYWHERE = 0, -1, 1  # at which elements paths arrive
 
 
 @part
-def holds_edge(facets: Facets, q: int, edge: F64) -> bool:
+def _holds_edge(facets: Facets, q: int, edge: F64) -> bool:
     """Whether the edge at which paths begin lies in the plane of facet q: they leave that plane at their start."""
     here = side_of(facets.face, q, edge[0, 0], edge[0, 1], edge[0, 2])
     there = side_of(facets.face, q, edge[1, 0], edge[1, 1], edge[1, 2])
-    return abs(here) < COPLANAR_M and abs(there) < COPLANAR_M
+    return abs(here) < PLANE_TOLERANCE and abs(there) < PLANE_TOLERANCE
 
 
 @part
@@ -116,13 +118,13 @@ def gather_mirrors(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> in
     vertex, n = walk.vertex, path.length
     for j in range(n):
         p, v, number = path.plane[n - 1 - j], j + 1, 0
-        tube, top = tube_between(vertex, v, v, COPLANAR_M, bundle), -1
+        tube, top = tube_between(vertex, v, v, PLANE_TOLERANCE, bundle), -1
         while True:
             top, leaf = next_leaf(facets, tube, 0.0, walk, top)
             if leaf < 0:
                 break
             for q in range(facets.first[leaf], facets.last[leaf]):
-                if facets.plane[q] != p or (j == 0 and holds_edge(facets, q, walk.edge)):
+                if facets.plane[q] != p or (j == 0 and _holds_edge(facets, q, walk.edge)):
                     continue
                 if _beyond(facets, q, v, bundle, vertex)[0] != 0:
                     continue
@@ -145,8 +147,8 @@ def _lies_on(facets: Facets, q: int, p: int, x: float, y: float, z: float) -> bo
     r, normal = facets.plane[q], facets.normal
     nx, ny, nz = normal[0, r], normal[1, r], normal[2, r]
     cosine = nx * normal[0, p] + ny * normal[1, p] + nz * normal[2, p]
-    is_parallel = abs(cosine) > 1.0 - 0.5 * COPLANAR_M**2
-    return is_parallel and abs(nx * x + ny * y + nz * z - facets.offset[r]) < COPLANAR_M
+    is_parallel = abs(cosine) > 1.0 - 0.5 * PLANE_TOLERANCE**2
+    return is_parallel and abs(nx * x + ny * y + nz * z - facets.offset[r]) < PLANE_TOLERANCE
 
 
 @part
@@ -187,7 +189,7 @@ def gather_slabs(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
             for q in range(facets.first[leaf], facets.last[leaf]):
                 if facets.plane[q] == before or facets.plane[q] == after:
                     continue
-                if is_at_edge and s == 0 and holds_edge(facets, q, walk.edge):
+                if is_at_edge and s == 0 and _holds_edge(facets, q, walk.edge):
                     continue
                 crossed = _crosses(facets, q, s, bundle, vertex)
                 if crossed == NOWHERE:

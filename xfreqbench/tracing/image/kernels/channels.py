@@ -6,7 +6,7 @@ import numpy as np
 
 from xfreqbench.tracing.paths import REFRACTION, SPECULAR
 
-from .arrays import BLOCK, F64, I32, I64, CentrePath, Facets, Media, Path, Scene, Sums, Walk, new_walk
+from .arrays import BLOCK, F64, I32, I64, CentrePath, Facets, Media, Path, SceneArrays, Sums, Walk, new_walk
 from .bundles import EVERYWHERE, MIXED, NOWHERE, decide, fold, follow, gather_mirrors, gather_slabs
 from .compiled import bare, entry, part, whole
 from .fields import Image, gains, interpolate, spread
@@ -29,7 +29,7 @@ def _met(length: int, walk: Walk) -> int:
 
 @bare
 def _add_to_some(
-    scene: Scene, path: Path, f: int, image: Image, are_gathered: tuple[bool, bool], walk: Walk, sums: Sums
+    scene: SceneArrays, path: Path, f: int, image: Image, are_gathered: tuple[bool, bool], walk: Walk, sums: Sums
 ) -> bool:
     """Add a path at carrier f to those of the elements that it reaches; False where it is heard at none.
 
@@ -84,7 +84,7 @@ def _add_to_some(
 
 
 @bare
-def _add_path(scene: Scene, path: Path, share: bool, walk: Walk, sums: Sums, num_paths: I32) -> None:
+def _add_path(scene: SceneArrays, path: Path, share: bool, walk: Walk, sums: Sums, num_paths: I32) -> None:
     """Add a path to `sums` (F, M) each. A carrier at which the corners agree decides for all narrower apertures."""
     facets, media, aperture, _ = scene
     (real, imag), reach, num_carriers, num_nodes = sums, MIXED, num_paths.shape[0], aperture.weight.shape[0]
@@ -137,7 +137,9 @@ def _add_path(scene: Scene, path: Path, share: bool, walk: Walk, sums: Sums, num
 
 
 @entry
-def add_channel(scene: Scene, trie: Trie, tx: F64, max_depth: int, share: bool, sums: Sums, num_paths: I32) -> None:
+def add_channel(
+    scene: SceneArrays, trie: Trie, tx: F64, max_depth: int, share: bool, sums: Sums, num_paths: I32
+) -> None:
     """Add the channel (F, M) of the transmitter at `tx` (3,) to `sums`, and the number of its paths (F,).
 
     A path counts where its field reaches at least one element and has not vanished on the way. With `share` the

@@ -59,7 +59,7 @@ def num_threads() -> int:
         ) from error
 
 
-def side_by_side(call: Callable[[int], Result], number: int) -> list[Result]:
+def on_threads(call: Callable[[int], Result], number: int) -> list[Result]:
     """The results of `call` for 0 to number − 1, computed by as many threads as Numba may use.
 
     After an exception, Ctrl-C included, it does not wait for those that compile or compute, which may take a minute.

@@ -12,22 +12,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from xfreqbench.scene.patches import PLANE_TOLERANCE
 from xfreqbench.tracing.paths import DIFFUSE
 
 from .arrays import (
     BLOCK,
-    COPLANAR_M,
     F64,
     FAR,
     I32,
     I64,
-    LANES,
+    SIMD_WIDTH,
     Bools,
     CentrePath,
     Facets,
     Media,
     Path,
-    Scene,
+    SceneArrays,
     Sums,
     Walk,
     new_walk,
@@ -79,7 +79,7 @@ class Views(NamedTuple):
     response: F64  # (V, 4, F): what the antenna takes of a field along θ and along φ; of each real and imaginary part
 
 
-class Room(NamedTuple):
+class DiffuseContext(NamedTuple):
     """What is the same for all transmitters. The lanes of `media` are its carriers."""
 
     facets: Facets
@@ -108,13 +108,13 @@ def _reach(
         for a in range(3):
             here += axis[2, a] * middle[a]
             there += axis[2, a] * end[a]
-        if here * there <= 0.0 or abs(here) < COPLANAR_M:
+        if here * there <= 0.0 or abs(here) < PLANE_TOLERANCE:
             return -1
         for b in range(2):
             from_tile = axis[b, 0] * middle[0] + axis[b, 1] * middle[1] + axis[b, 2] * middle[2]
             to_end = axis[b, 0] * end[0] + axis[b, 1] * end[1] + axis[b, 2] * end[2]
             at = from_tile + here / (here + there) * (to_end - from_tile)
-            if at < windows.low[plane, b] - COPLANAR_M or at > windows.high[plane, b] + COPLANAR_M:
+            if at < windows.low[plane, b] - PLANE_TOLERANCE or at > windows.high[plane, b] + PLANE_TOLERANCE:
                 return -1
         for a in range(3):
             image[a] -= 2.0 * there * axis[2, a]
@@ -146,7 +146,7 @@ def _bring(facets: Facets, media: Media, half: int, has_mirror: int, first: int,
     """
     wave, start, image, mirror = walk.wave, walk.start, walk.image, walk.mirror
     number = min(BLOCK, media.permittivity.shape[0] - first)
-    padded = -(-number // LANES) * LANES
+    padded = -(-number // SIMD_WIDTH) * SIMD_WIDTH
     x, y, z = start[0, 0] - image[0], start[0, 1] - image[1], start[0, 2] - image[2]
     inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
     x, y, z = x * inverse, y * inverse, z * inverse
@@ -198,7 +198,7 @@ def _triangle(corner: F64, i: int, j: int, k: int) -> float:
 
 
 @bare
-def solid_angle(sides: F64, is_triangle: bool, eye: F64, corner: F64) -> float:
+def _solid_angle(sides: F64, is_triangle: bool, eye: F64, corner: F64) -> float:
     """Of a triangle or parallelogram, a corner and two sides, seen from `eye` (3,); `corner` (4, 3) is work space."""
     for a in range(3):
         corner[0, a] = sides[0, a] - eye[a]
@@ -228,13 +228,13 @@ def pattern(roughness: Roughness, kind: int, normal: F64, k_in: F64, k_out: F64)
 
 @bare
 def _light(
-    room: Room, n: int, plane: int, tx: F64, side: float, most: int, walk: Walk, k_in: F64, field: F64
+    context: DiffuseContext, n: int, plane: int, tx: F64, side: float, most: int, walk: Walk, k_in: F64, field: F64
 ) -> tuple[int, float]:
     """Number of interactions on the leg from the transmitter to tile n, −1 for none, and the solid angle of the tile.
 
     Left are the wave's direction in `k_in` (3,), and in `field` (4, F) its components θ and φ times |R·E| / |E|.
     """
-    facets, media, _, windows, tiles, _ = room
+    facets, media, _, windows, tiles, _ = context
     q, kind, wave = tiles.facet[n], facets.slab[tiles.facet[n]], walk.wave
     num_met = _reach(facets, windows, tiles, n, plane, tx, side, most, walk)
     if num_met < 0:
@@ -246,7 +246,7 @@ def _light(
         for c in range(3):
             k_in[c] = wave[c * BLOCK]
         _resolve(wave, k_in[0], k_in[1], k_in[2], share, first, number, field)
-        padded = -(-number // LANES) * LANES
+        padded = -(-number // SIMD_WIDTH) * SIMD_WIDTH
         reflect(media.lanes[media.first[kind] : media.first[kind + 1], :, first:], facets.face[q], wave, padded)
         for i in range(number):
             before = after = 0.0
@@ -257,16 +257,16 @@ def _light(
             ratio = share * math.sqrt(after / before) if before > 0.0 else 0.0
             for c in range(4):
                 field[c, first + i] *= ratio
-    return num_met, solid_angle(tiles.sides[n], facets.is_triangle[q], walk.image, walk.four)
+    return num_met, _solid_angle(tiles.sides[n], facets.is_triangle[q], walk.image, walk.four)
 
 
 @bare
-def _scatter(room: Room, n: int, v: int, solid: float, k_in: F64, field: F64, gain: F64) -> bool:
+def _scatter(context: DiffuseContext, n: int, v: int, solid: float, k_in: F64, field: F64, gain: F64) -> bool:
     """What view v of tile n takes of the field that falls on it, to `gain` (2, F); False where it sees the other side.
 
     Spreading from the tile on, travel phase and random phase are left out.
     """
-    facets, _, roughness, _, tiles, views = room
+    facets, _, roughness, _, tiles, views = context
     q, leaves, response = tiles.facet[n], views.leaves[v], views.response[v]
     kind, normal = facets.slab[q], facets.face[q, :3]
     if dot(normal, k_in) * dot(normal, leaves) >= 0.0:
@@ -327,15 +327,15 @@ def responses(
 
 @entry
 def add_diffuse(
-    scene: Scene, room: Room, tx: F64, max_depth: int, num_mirrors: int, sums: Sums, num_paths: I32
+    scene: SceneArrays, context: DiffuseContext, tx: F64, max_depth: int, num_mirrors: int, sums: Sums, num_paths: I32
 ) -> None:
     """Add to `sums` (F, M) what tiles scatter from `tx` (3,) to the array over so many mirrors in all, and count it.
 
     A tile and what it is seen through are those of the array's centre; each element has its own distance to it.
     """
-    (real, imag), aperture, facets, tiles, views = sums, scene.aperture, room.facets, room.tiles, room.views
+    (real, imag), aperture, facets, tiles, views = sums, scene.aperture, context.facets, context.tiles, context.views
     num_carriers, num_elements = real.shape
-    wavelength_m, num_planes = aperture.wavelength_m, len(room.windows.axis) if num_mirrors else 0
+    wavelength_m, num_planes = aperture.wavelength_m, len(context.windows.axis) if num_mirrors else 0
     walk, k_in, field = new_walk(max_depth, 1, num_elements, tx), np.zeros(3), np.zeros((4, num_carriers))
     gain, own = np.zeros((2, num_carriers)), walk.own
     both, is_heard = np.zeros((1 + num_planes, 2, num_carriers)), np.zeros(1 + num_planes, np.bool_)
@@ -348,7 +348,7 @@ def add_diffuse(
             if p < 0 and num_mirrors and views.plane[end - 1] < 0:
                 continue
             side = dot(facets.face[tiles.facet[n], :3], views.leaves[begin]) if (p >= 0) == num_mirrors else 0.0
-            num_met, solid = _light(room, n, p, tx, side, max_depth - 1, walk, k_in, field)
+            num_met, solid = _light(context, n, p, tx, side, max_depth - 1, walk, k_in, field)
             if num_met < 0:
                 continue
             distance = 0.0
@@ -358,7 +358,7 @@ def add_diffuse(
             for v in range(begin, end):
                 if (p >= 0) + (views.plane[v] >= 0) != num_mirrors or num_met + 1 + views.num_met[v] > max_depth:
                     continue
-                if not _scatter(room, n, v, solid, k_in, field, gain):
+                if not _scatter(context, n, v, solid, k_in, field, gain):
                     continue
                 i = v - begin
                 if not is_heard[i]:
@@ -382,13 +382,13 @@ def add_diffuse(
 
 @entry
 def diffuse_paths(
-    room: Room, surface: I64, tx: F64, receiver: F64, max_depth: int, num_mirrors: int
+    context: DiffuseContext, surface: I64, tx: F64, receiver: F64, max_depth: int, num_mirrors: int
 ) -> list[CentrePath]:
     """The paths that `add_diffuse` adds, to the array's centre at `receiver` (3,), with their random phases.
 
     `surface` is the mesh of each facet. Their gains lack the spreading of as long a straight line, as those of others.
     """
-    facets, media, _, windows, tiles, views = room
+    facets, media, _, windows, tiles, views = context
     num_carriers, reached = media.permittivity.shape[0], []
     num_planes = len(windows.axis) if num_mirrors else 0
     near, far = new_walk(max_depth, 1, 1, tx), new_walk(max_depth, 1, 1, tx)
@@ -397,13 +397,13 @@ def diffuse_paths(
         for p in range(-1, num_planes):
             if views.first[n] == views.first[n + 1]:
                 break
-            num_met, solid = _light(room, n, p, tx, 0.0, max_depth - 1, near, k_in, field)
+            num_met, solid = _light(context, n, p, tx, 0.0, max_depth - 1, near, k_in, field)
             if num_met < 0:
                 continue
             for v in range(views.first[n], views.first[n + 1]):
                 if (p >= 0) + (views.plane[v] >= 0) != num_mirrors or num_met + 1 + views.num_met[v] > max_depth:
                     continue
-                if not _scatter(room, n, v, solid, k_in, field, gain):
+                if not _scatter(context, n, v, solid, k_in, field, gain):
                     continue
                 _reach(facets, windows, tiles, n, views.plane[v], receiver, 0.0, max_depth - 1, far)
                 code, met, point = (

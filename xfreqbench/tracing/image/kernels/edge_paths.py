@@ -15,7 +15,7 @@ import numpy as np
 
 from xfreqbench.tracing.paths import DIFFRACTION
 
-from .arrays import BLOCK, C128, F64, I32, I64, CentrePath, Path, Scene, Sums, Walk, new_walk
+from .arrays import BLOCK, C128, F64, I32, I64, CentrePath, Path, SceneArrays, Sums, Walk, new_walk
 from .bundles import EVERYWHERE, MIXED, NOWHERE, follow
 from .channels import list_interactions
 from .compiled import bare, entry, lane, whole
@@ -25,19 +25,16 @@ from .slabs import cosine_and_sine, reflect, transmit
 from .tree import CORNERS, LONE, Bundle
 from .wedges import Polar, Wedges, diffract, edge_point, off_boundary, place, polar
 
-MAX_CENTRED_CHANGE = 0.01  # of the field over the array, roughly, up to which it is computed at its centre alone
-MAX_INTERPOLATED_CHANGE = 0.15  # and up to which it is interpolated
 
-
-class Room(NamedTuple):
+class EdgeContext(NamedTuple):
     """What is the same for all paths."""
 
-    scene: Scene
+    scene: SceneArrays
     wedges: Wedges
     mirrors: Reflectors
 
 
-class EdgePath(NamedTuple):
+class _EdgePath(NamedTuple):
     """A path over an edge, by how its two ends see it: the planes of either half are those of its end's side."""
 
     edge: int
@@ -122,13 +119,13 @@ def _meets(wedges: Wedges, e: int, near: Polar, far_end: F64) -> tuple[int, floa
 
 
 @bare
-def _reach(room: Room, path: EdgePath, offset_m: F64, max_depth: int, bundle: Bundle, work: Work) -> int:
+def _reach(context: EdgeContext, path: _EdgePath, offset_m: F64, max_depth: int, bundle: Bundle, work: Work) -> int:
     """Whether paths of at most `max_depth` interactions reach EVERYWHERE, NOWHERE or, MIXED, only some ends.
 
     `offset_m` (K, 3) are offsets of the elements. `_begin_at` was called for the edge. What the paths meet is left in
     `work`.
     """
-    facets, wedges, e, near = room.scene.facets, room.wedges, path.edge, path.near_polar
+    facets, wedges, e, near = context.scene.facets, context.wedges, path.edge, path.near_polar
     if near[0] <= 1e-9 or near[2] <= 0.0 or near[2] >= wedges.angle[e]:
         return NOWHERE
     num_met, common = 0, 7
@@ -153,7 +150,7 @@ def _reach(room: Room, path: EdgePath, offset_m: F64, max_depth: int, bundle: Bu
 
 
 @bare
-def _carry(scene: Scene, side: Path, walk: Walk, end: F64, lane: int, half: int, work: Work) -> None:
+def _carry(scene: SceneArrays, side: Path, walk: Walk, end: F64, lane: int, half: int, work: Work) -> None:
     """Carry the field of the antenna at one end to the point of the edge, backwards over a half that was traced.
 
     `end` is the image of that end. The wave's direction at the edge is left in `work.waves`.
@@ -188,20 +185,20 @@ def _carry(scene: Scene, side: Path, walk: Walk, end: F64, lane: int, half: int,
 
 
 @bare
-def _gain(room: Room, path: EdgePath, f: int, work: Work) -> complex:
+def _gain(context: EdgeContext, path: _EdgePath, f: int, work: Work) -> complex:
     """Gain at carrier f of the path that was traced last, to the end in `work.end[1]`.
 
     Spreading and travel phase are left out, as if the path were straight.
     """
-    wedges, media, lane = room.wedges, room.scene.media, f * room.scene.aperture.weight.shape[0]
+    wedges, media, lane = context.wedges, context.scene.media, f * context.scene.aperture.weight.shape[0]
     e, near, far = path.edge, path.near_polar, polar(wedges, path.edge, work.end[1])
     z = edge_point(near, far)
     before, after = math.hypot(near[0], z - near[1]), math.hypot(far[0], z - far[1])
     for c in range(3):
         work.point[c] = wedges.start[e, c] + z * wedges.along[e, c]
-    _carry(room.scene, path.near, work.near, work.end[0], lane, 0, work)
-    _carry(room.scene, path.far, work.far, work.end[1], lane, 1, work)
-    size = 4.0 * math.pi / room.scene.aperture.wavelength_m[f] * before * after / (before + after)
+    _carry(context.scene, path.near, work.near, work.end[0], lane, 0, work)
+    _carry(context.scene, path.far, work.far, work.end[1], lane, 1, work)
+    size = 4.0 * math.pi / context.scene.aperture.wavelength_m[f] * before * after / (before + after)
     waves, fields = (work.waves[0], work.waves[1]), (work.fields[0], work.fields[1])
     root = math.sqrt(size) * near[0] / before
     return diffract(wedges, media, e, f, waves, fields, (near[2], far[2]), root, work.vectors)
@@ -215,23 +212,24 @@ def _length_over(wedges: Wedges, e: int, near: Polar, x: F64) -> float:
 
 
 @bare
-def _gains(room: Room, path: EdgePath, f: int, shift: float, work: Work) -> None:
+def _gains(context: EdgeContext, path: _EdgePath, f: int, shift: float, work: Work) -> None:
     """Gains at carrier f at all elements, of a path that reaches all of them, to work.gains (M,).
 
     Where the field hardly changes over the array it is computed at its centre, where it changes a little at the
     nodes between which it is interpolated, else at every element. `shift` is its change by the metre.
     """
-    aperture, gains, corner = room.scene.aperture, work.gains, room.scene.aperture.corner_m[f, 0]
+    aperture, gains, corner = context.scene.aperture, work.gains, context.scene.aperture.corner_m[f, 0]
     changes = shift * math.sqrt(corner[0] ** 2 + corner[1] ** 2 + corner[2] ** 2)
     num_nodes, num_elements = aperture.weight.shape
-    if num_nodes == num_elements or changes > MAX_INTERPOLATED_CHANGE:
+    # up to about 0.01 the field is computed at the array's centre alone, up to 0.15 it is interpolated over it
+    if num_nodes == num_elements or changes > 0.15:
         for m in range(num_elements):
             x, y, z = aperture.element_m[f, 0, m], aperture.element_m[f, 1, m], aperture.element_m[f, 2, m]
             _end_at(path.far, x, y, z, work.end[1])
-            gains[m] = _gain(room, path, f, work)
-    elif changes < MAX_CENTRED_CHANGE:
+            gains[m] = _gain(context, path, f, work)
+    elif changes < 0.01:
         _end_at(path.far, 0.0, 0.0, 0.0, work.end[1])
-        at_centre = _gain(room, path, f, work)
+        at_centre = _gain(context, path, f, work)
         for m in range(num_elements):
             gains[m] = at_centre
     else:
@@ -240,7 +238,7 @@ def _gains(room: Room, path: EdgePath, f: int, shift: float, work: Work) -> None
         for node in range(num_nodes):
             i = f * num_nodes + node
             _end_at(path.far, aperture.node_m[0, i], aperture.node_m[1, i], aperture.node_m[2, i], work.end[1])
-            at_node = _gain(room, path, f, work)
+            at_node = _gain(context, path, f, work)
             for m in range(num_elements):
                 gains[m] += aperture.weight[node, m] * at_node
 
@@ -276,30 +274,30 @@ def _change(angle: float, near: Polar, far: Polar) -> float:
 
 
 @bare
-def _add_path(room: Room, path: EdgePath, limits: Limits, work: Work, sums: Sums, num_paths: I32) -> None:
+def _add_path(context: EdgeContext, path: _EdgePath, limits: Limits, work: Work, sums: Sums, num_paths: I32) -> None:
     """Add a path to `sums` (F, M) each at the carriers where it may be as strong as the floor.
 
     A carrier at which the corners agree decides for all narrower apertures.
     """
-    (real, imag), aperture, wedges, reached, own = sums, room.scene.aperture, room.wedges, MIXED, work.own
+    (real, imag), aperture, wedges, reached, own = sums, context.scene.aperture, context.wedges, MIXED, work.own
     shift = _change(wedges.angle[path.edge], path.near_polar, path.far_polar)
     for f in range(num_paths.shape[0]):
         if work.most[f] < work.floor[f]:
             continue
         if limits.share and reached == MIXED:
-            reached = _reach(room, path, aperture.corner_m[f], limits.max_depth, CORNERS, work)
+            reached = _reach(context, path, aperture.corner_m[f], limits.max_depth, CORNERS, work)
         if reached == NOWHERE:
             break
         is_heard, wavelength_m = False, aperture.wavelength_m[f]
         if reached == EVERYWHERE:
-            _gains(room, path, f, shift, work)
+            _gains(context, path, f, shift, work)
         for m in range(real.shape[1]):
             for c in range(3):
                 own[0, c] = aperture.element_m[f, c, m]
             if reached == MIXED:
-                if _reach(room, path, own, limits.max_depth, LONE, work) != EVERYWHERE:
+                if _reach(context, path, own, limits.max_depth, LONE, work) != EVERYWHERE:
                     continue
-                work.gains[m] = _gain(room, path, f, work)
+                work.gains[m] = _gain(context, path, f, work)
             _end_at(path.far, own[0, 0], own[0, 1], own[0, 2], work.end[1])
             length_m = _length_over(wedges, path.edge, path.near_polar, work.end[1])
             cosine, sine = cosine_and_sine(length_m / wavelength_m)
@@ -322,9 +320,9 @@ def _meet(near: Sides, a: int, far: Sides, b: int, radius_m: float) -> bool:
 
 
 @lane
-def _path_over(e: int, near: Sides, a: int, far: Sides, b: int) -> EdgePath:
+def _path_over(e: int, near: Sides, a: int, far: Sides, b: int) -> _EdgePath:
     """The path over edge e that two of its sides make."""
-    return EdgePath(
+    return _EdgePath(
         e,
         Path(near.length[a], near.plane[a], near.image[a], near.mirror[a]),
         Path(far.length[b], far.plane[b], far.image[b], far.mirror[b]),
@@ -334,14 +332,14 @@ def _path_over(e: int, near: Sides, a: int, far: Sides, b: int) -> EdgePath:
 
 
 @bare
-def _may_count(room: Room, path: EdgePath, near_most: F64, far_most: F64, work: Work) -> bool:
+def _may_count(context: EdgeContext, path: _EdgePath, near_most: F64, far_most: F64, work: Work) -> bool:
     """Whether a path may be as strong as the floor at any carrier; bounds of its amplitude are left in work.most (F,).
 
     `near_most` and `far_most` (F,) bound what the planes of its halves reflect.
     """
     most, is_any = work.most, False
-    wavelength_m = room.scene.aperture.wavelength_m
-    _bounds(room.wedges.angle[path.edge], path.near_polar, path.far_polar, wavelength_m, most)
+    wavelength_m = context.scene.aperture.wavelength_m
+    _bounds(context.wedges.angle[path.edge], path.near_polar, path.far_polar, wavelength_m, most)
     for f in range(most.shape[0]):
         most[f] *= near_most[f] * far_most[f]
         is_any |= most[f] >= work.floor[f]
@@ -349,11 +347,13 @@ def _may_count(room: Room, path: EdgePath, near_most: F64, far_most: F64, work: 
 
 
 @bare
-def _add_all(room: Room, near: Sides, far: Sides, limits: Limits, work: Work, sums: Sums, num_paths: I32) -> None:
+def _add_all(
+    context: EdgeContext, near: Sides, far: Sides, limits: Limits, work: Work, sums: Sums, num_paths: I32
+) -> None:
     """Add all paths over edges to `sums` (F, M) each."""
-    radius_m = room.scene.aperture.radius_m
-    for e in range(room.wedges.length.shape[0]):
-        _begin_at(room.wedges, e, work)
+    radius_m = context.scene.aperture.radius_m
+    for e in range(context.wedges.length.shape[0]):
+        _begin_at(context.wedges, e, work)
         for a in range(near.first[e], near.first[e + 1]):
             for c in range(3):
                 work.end[0, c] = near.image[a, c]
@@ -362,47 +362,49 @@ def _add_all(room: Room, near: Sides, far: Sides, limits: Limits, work: Work, su
                 if is_deep or not _meet(near, a, far, b, radius_m):
                     continue
                 path = _path_over(e, near, a, far, b)
-                if _may_count(room, path, near.most[a], far.most[b], work):
-                    _add_path(room, path, limits, work, sums, num_paths)
+                if _may_count(context, path, near.most[a], far.most[b], work):
+                    _add_path(context, path, limits, work, sums, num_paths)
 
 
 @entry
-def add_over_edges(room: Room, far: Sides, limits: Limits, tx: F64, floor: F64, sums: Sums, num_paths: I32) -> None:
+def add_over_edges(
+    context: EdgeContext, far: Sides, limits: Limits, tx: F64, floor: F64, sums: Sums, num_paths: I32
+) -> None:
     """Add the channel (F, M) over edges of the transmitter at `tx` (1, 3) to `sums`, which hold that of other paths.
 
     The numbers of its paths are added to `num_paths` (F,). `far` is how the array sees the edges. Paths that a bound
     shows to be weaker than `floor` (F,), amplitude over wavelength in 1/m, are skipped.
     """
-    near = sides_of(room.scene.facets, room.mirrors, room.wedges, tx, limits.max_planes)
+    near = sides_of(context.scene.facets, context.mirrors, context.wedges, tx, limits.max_planes)
     work = _new_work(sums[0].shape[1], len(floor))
     work.floor[:] = floor
-    _add_all(room, near, far, limits, work, sums, num_paths)
+    _add_all(context, near, far, limits, work, sums, num_paths)
 
 
 @entry
 def paths_over_edges(
-    room: Room, far: Sides, limits: Limits, surface: I64, edge_surface: I64, tx: F64, floor: F64
+    context: EdgeContext, far: Sides, limits: Limits, surface: I64, edge_surface: I64, tx: F64, floor: F64
 ) -> list[CentrePath]:
     """Paths over edges from the transmitter at `tx` (1, 3) to the array centre, those that `add_over_edges` adds.
 
     `surface` (Q,) is the mesh of each facet, `edge_surface` (E,) that of a face of each edge. The gain is 0 at carriers
     at which the path is skipped.
     """
-    near = sides_of(room.scene.facets, room.mirrors, room.wedges, tx, limits.max_planes)
-    num_carriers, depth = room.scene.aperture.wavelength_m.shape[0], limits.max_depth
+    near = sides_of(context.scene.facets, context.mirrors, context.wedges, tx, limits.max_planes)
+    num_carriers, depth = context.scene.aperture.wavelength_m.shape[0], limits.max_depth
     work, centre, reached = _new_work(1, num_carriers), np.zeros((1, 3)), []
     work.floor[:] = floor
-    for e in range(room.wedges.length.shape[0]):
-        _begin_at(room.wedges, e, work)
+    for e in range(context.wedges.length.shape[0]):
+        _begin_at(context.wedges, e, work)
         for a in range(near.first[e], near.first[e + 1]):
             work.end[0] = near.image[a]
             for b in range(far.first[e], far.first[e + 1]):
                 if near.length[a] + far.length[b] >= depth or not _meet(near, a, far, b, 0.0):
                     continue
                 path = _path_over(e, near, a, far, b)
-                if not _may_count(room, path, near.most[a], far.most[b], work):
+                if not _may_count(context, path, near.most[a], far.most[b], work):
                     continue
-                if _reach(room, path, centre, depth, LONE, work) != EVERYWHERE:
+                if _reach(context, path, centre, depth, LONE, work) != EVERYWHERE:
                     continue
                 code, met, point = np.zeros(depth, np.int64), np.full(depth, -1), np.full((depth, 3), np.nan)
                 at = list_interactions(work.near, path.near.length, True, 0, surface, code, met, point)
@@ -411,8 +413,8 @@ def paths_over_edges(
                 gain = np.zeros(num_carriers, np.complex128)
                 for f in range(num_carriers):
                     if work.most[f] >= work.floor[f]:
-                        gain[f] = _gain(room, path, f, work)
-                length_m = _length_over(room.wedges, e, path.near_polar, work.end[1])
+                        gain[f] = _gain(context, path, f, work)
+                length_m = _length_over(context.wedges, e, path.near_polar, work.end[1])
                 way = work.far.vertex[0, path.far.length] - work.far.vertex[0, path.far.length + 1]
                 reached.append((gain, length_m, way / np.linalg.norm(way), code, met, point))
     return reached

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from .arrays import BLOCK, F64, LANES, Antenna, Facets, Media, Path, Vector, Walk
+from .arrays import BLOCK, F64, SIMD_WIDTH, AntennaArrays, Facets, Media, Path, Vector, Walk
 from .compiled import bare, lane
 from .slabs import cosine_and_sine, reflect, transmit
 
@@ -12,14 +12,14 @@ Image = tuple[float, float, float, float]  # squared distance, and the way from 
 
 
 @lane
-def antenna_of(row: F64) -> Antenna:
+def antenna_of(row: F64) -> AntennaArrays:
     """An antenna from its row (12,) in `Media`."""
     axis, aside, ahead = (row[3], row[4], row[5]), (row[6], row[7], row[8]), (row[9], row[10], row[11])
-    return Antenna(row[0] != 0.0, row[1] != 0.0, row[2] != 0.0, axis, aside, ahead)
+    return AntennaArrays(row[0] != 0.0, row[1] != 0.0, row[2] != 0.0, axis, aside, ahead)
 
 
 @lane
-def antenna_field(antenna: Antenna, x: float, y: float, z: float) -> Vector:
+def antenna_field(antenna: AntennaArrays, x: float, y: float, z: float) -> Vector:
     """World components of the antenna's real field towards a direction, without the gain of a directive element.
 
     With the antenna's axis a, it is along the polar angle's unit vector (a·k)ρ − |k − (a·k)a|a or, if it is horizontal,
@@ -41,7 +41,7 @@ def antenna_field(antenna: Antenna, x: float, y: float, z: float) -> Vector:
 
 
 @bare
-def element_gain(antenna: Antenna, x: float, y: float, z: float) -> float:
+def element_gain(antenna: AntennaArrays, x: float, y: float, z: float) -> float:
     """Amplitude of the element of 3GPP TR 38.901, Table 7.3-1: 8 dBi where it looks, up to 30 dB less elsewhere."""
     (ax, ay, az), (bx, by, bz) = antenna.axis, antenna.ahead
     along, ahead = ax * x + ay * y + az * z, bx * x + by * y + bz * z
@@ -110,7 +110,7 @@ def gains(
     wave, share = walk.wave, specular_share(facets, media, path.length, walk)
     for begin in range(0, number, BLOCK):
         end = min(number, begin + BLOCK)
-        low, padded = first + begin, -(-(end - begin) // LANES) * LANES
+        low, padded = first + begin, -(-(end - begin) // SIMD_WIDTH) * SIMD_WIDTH
         _launch(media, path, walk.start[0], offset_m[:, begin:end], wave, end - begin)
         for s in range(path.length + 1):
             for i in range(walk.num_crossed[s]):

@@ -82,7 +82,7 @@ def _follow(facets: Facets, shots: Shots, ray: F64, state: I64, walk: Walk, trie
 
 
 @whole
-def keys_of(trie: Any) -> I64:
+def _keys_of(trie: Any) -> I64:
     """Keys of a trie's nodes, in the order of their numbers."""
     keys = np.empty(len(trie), np.int64)
     for key, node in trie.items():
@@ -108,7 +108,7 @@ def shot(facets: Facets, shots: Shots, chunk: int) -> I64:
         ray[0, 1, 2] = z
         state[0] = 0
         _follow(facets, shots, ray, state, walk, trie)
-    return keys_of(trie)
+    return _keys_of(trie)
 
 
 @entry
@@ -130,7 +130,7 @@ def joined(keys: I64, num_planes: int, most: int) -> I64:
         key = node[parent] * num_planes + keys[k] % num_planes
         node[k] = trie.get(key, np.int64(len(trie)))
         trie[key] = node[k]
-    return keys_of(trie)
+    return _keys_of(trie)
 
 
 @part

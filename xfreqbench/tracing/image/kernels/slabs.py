@@ -14,7 +14,6 @@ Four = tuple[complex, complex, complex, complex]
 Pair = tuple[float, float]  # real and imaginary part
 
 OPAQUE_NEPERS = 40.0  # of loss through a slab: nothing comes back from its far face, and nothing comes out
-GRAZING = 1e-6  # least cosine of incidence upon layers; at 0 the echoes between two of them have no finite sum
 
 
 @lane
@@ -118,7 +117,8 @@ def _stack(cosine: float, real: F64, imag: F64, phase_thickness: F64, is_from_be
     front_te, front_tm, back_te, back_tm, through_te, through_tm = 0j, 0j, 0j, 0j, 1.0 + 0j, 1.0 + 0j
     for i in range(len(real)):
         n = len(real) - 1 - i if is_from_behind else i
-        own = _slab(max(cosine, GRAZING), real[n], imag[n], phase_thickness[n])
+        # at a cosine of 0 the echoes between two layers have no finite sum
+        own = _slab(max(cosine, 1e-6), real[n], imag[n], phase_thickness[n])
         r_te, r_tm, t_te, t_tm = complex(*own[0]), complex(*own[1]), complex(*own[2]), complex(*own[3])
         echo_te, echo_tm = 1.0 / (1.0 - back_te * r_te), 1.0 / (1.0 - back_tm * r_tm)
         front_te += through_te * through_te * r_te * echo_te

@@ -20,9 +20,6 @@ LONE, CORNERS, QUAD = (0,), (0, 1, 2, 3), (1, 1, 1, 1)
 
 SLACK_M = 1e-9  # by which a tube is wider than its paths
 NUM_BINS = 16  # between which a box may be divided along an axis
-FACETS_IN_A_LEAF = 4  # at most, where dividing does not pay
-MAX_SAH_LEVELS = 64  # below them boxes are halved by number, so that no chain of facets makes a deep tree
-WORTH_DIVIDING = 0.7  # at most so much of what looking at all facets of a small leaf costs
 
 
 @part
@@ -43,7 +40,7 @@ def side_of(face: F64, q: int, x: float, y: float, z: float) -> float:
 
 
 @part
-def inverse_of(d: float) -> float:
+def _inverse_of(d: float) -> float:
     """1 / d, and a large number where d is next to nothing."""
     return 1.0 / d if abs(d) > 1e-12 else 1e12
 
@@ -60,7 +57,7 @@ def _extent(vertex: F64, v: int, a: int, bundle: Bundle) -> tuple[float, float]:
 @part
 def _span(vertex: F64, v: int, end: int, a: int, margin: float, bundle: Bundle) -> Span:
     (low, high), (low_end, high_end) = _extent(vertex, v, a, bundle), _extent(vertex, end, a, bundle)
-    return low - margin, inverse_of(low_end - low), high + margin, inverse_of(high_end - high)
+    return low - margin, _inverse_of(low_end - low), high + margin, _inverse_of(high_end - high)
 
 
 @part
@@ -136,7 +133,7 @@ def next_leaf(facets: Facets, tube: Tube, reach: float, walk: Walk, top: int) ->
 def first_hit(facets: Facets, o: F64, d: F64, walk: Walk) -> tuple[int, float]:
     """Facet and distance of what a ray from o along d meets first; facet −1 where it meets nothing."""
     hit, nearest, top, face = -1, FAR, -1, facets.face
-    ix, iy, iz, m = inverse_of(d[0]), inverse_of(d[1]), inverse_of(d[2]), SLACK_M
+    ix, iy, iz, m = _inverse_of(d[0]), _inverse_of(d[1]), _inverse_of(d[2]), SLACK_M
     x, y, z = o[0], o[1], o[2]
     tube = (x - m, ix, x + m, ix), (y - m, iy, y + m, iy), (z - m, iz, z + m, iz)
     while True:
@@ -225,10 +222,12 @@ def divide(facet: F64) -> tuple[I64, F64, I64, I64, I64]:
         if number == 1:
             continue
         axis, after, cost = _cheapest(facet, order[first[b] : last[b]], least, most)
-        if number <= FACETS_IN_A_LEAF and cost >= WORTH_DIVIDING * number * _half_area(box[b]):
+        # dividing a small leaf has to save 30 % of what looking at all of its facets costs
+        if number <= 4 and cost >= 0.7 * number * _half_area(box[b]):
             continue
         middle = (first[b] + last[b]) // 2
-        if axis >= 0 and level[b] < MAX_SAH_LEVELS:
+        # below 64 levels boxes are halved by number, so that no chain of facets makes a deep tree
+        if axis >= 0 and level[b] < 64:
             scale, num_behind, middle = NUM_BINS / (most[axis] - least[axis]), 0, first[b]
             for i in range(first[b], last[b]):
                 q = order[i]

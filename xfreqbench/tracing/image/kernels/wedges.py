@@ -20,8 +20,6 @@ from .slabs import Four, coefficients, stacked
 Pair = tuple[complex, complex]
 Polar = tuple[float, float, float]
 
-ON_BOUNDARY_RAD = 1e-12  # beside a boundary; a facet's rim belongs to the facet: it blocks and reflects there
-NUM_TERMS = 24  # of Weideman's series
 SCREEN_RAD = 1e-3  # a wedge that leaves a full turn free, but for this, is the rim of a screen of one facet
 
 
@@ -49,7 +47,7 @@ def _weideman(num_terms: int) -> tuple[float, F64]:
     return width, spectrum[num_terms:0:-1].copy()
 
 
-WIDTH, SERIES = _weideman(NUM_TERMS)
+WIDTH, SERIES = _weideman(24)
 
 
 @bare
@@ -79,7 +77,8 @@ def _term(term: int, n: float, root: float, phi: float, source_phi: float) -> co
     n and face 0 reflect. `root` is √(2kL) with L = s·s'/(s + s')·sin²β; angles are those of `Edge`.
     """
     off = off_boundary(term, n, phi, source_phi)
-    if abs(off) < ON_BOUNDARY_RAD:
+    # a facet's rim belongs to the facet: it blocks and reflects there
+    if abs(off) < 1e-12:
         return complex(-1.0 if term < 2 else 1.0, 0.0)
     sine = abs(math.sin(n * off))
     return sine / (n * math.tan(off)) * transition(root * sine)
