@@ -85,7 +85,7 @@ def test_what_is_registered_is_fetched_by_its_name_and_then_loaded(
     server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     line = f"hall.h5 {hashlib.sha256(server.content).hexdigest()} {server.url}"
-    (tmp_path / shipped.REGISTRY).write_text(line)
+    (tmp_path / "registry.txt").write_text(line)
     monkeypatch.setattr(shipped, "shipped_folder", lambda: tmp_path)
     with pytest.raises(DataError, match=r"fetch\('hall'\)"):
         xb.load("hall")

@@ -224,7 +224,7 @@ def test_angles_that_do_not_lead_along_the_paths_are_refused(
     folder = scenario_by_hand(tmp_path / "city")
     for spoil in spoils:
         spoil(folder)
-    with pytest.raises(DataError, match=r"miss the next point of \d of \d paths; convert the scenario anew"):
+    with pytest.raises(DataError, match=r"miss the next point of \d of \d paths; convert the scenario again"):
         import_deepmimo(folder, tmp_path / "city.h5")
 
 

@@ -298,7 +298,7 @@ def test_large_maps_are_imported_a_transmitter_at_a_time_with_the_same_outcome(
     source = read(write_folder(tmp_path / "small"))
     together, apart = tmp_path / "together.h5", tmp_path / "apart.h5"
     import_png_folder(source, together)
-    monkeypatch.setattr(png_dataset, "_MAX_PIXELS", 1)
+    monkeypatch.setattr(png_dataset, "_BATCH", 1)
     done: list[int] = []
     import_png_folder(source, apart, lambda number, total: done.append(number))
     assert done == list(range(1, len(TRANSMITTERS) + 1))

@@ -41,6 +41,7 @@ ANSWERED = {  # call: what is asked of its answer
     "repr(split)": "answer == \"<Split 'lofo-10GHz': 8 samples to train on, 4 to test on>\"",
     "xb.plot(data, np.int64(-1))": "len(answer.axes) == 2",
     "xb.to_xarray(data[3:]).sel(sample=4).pas": "(answer == data.pas(4)[0]).all() and answer.tx == data.tx_index[4]",
+    "xb.to_xarray(bare).pas": "np.allclose(answer, data.pas(), atol=1e-4) and answer.units == '1'",
     "xb.to_xarray(data).tx_position_m": "answer.units == 'm' and answer.dims == ('sample', 'axis')",
     "beam.maps(data.cfr[:2].tolist())": "answer[0].shape == (2, 90, 360)",
     "xb.AngularGrid([0, 1], [0, 1, 2]).directions": "answer.shape == (2, 3, 3)",
@@ -127,6 +128,7 @@ from xfreqbench.baselines.nearest import Nearest
 class Mine(Nearest):
     pass
 
+bare = xb.open_dataset("bare.h5")  # stores no maps
 data, scene = xb.open_dataset("data.h5"), xb.load_scene("empty")
 tracer, maps = xb.make_tracer(scene, [24.25]), data.pas([0, 1])
 (split,) = xb.make_splits(data, "lofo", [10])
@@ -148,6 +150,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list]:
     """For each call, that it was answered and how, or the kinds of its error and what that says."""
     folder = tmp_path_factory.mktemp("calls")
     write_dataset(folder / "data.h5")
+    write_dataset(folder / "bare.h5", maps=False)
     calls = {**ANSWERED, **dict.fromkeys((*REFUSED, *INDEXED), "True")}
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM], input=json.dumps(calls), capture_output=True, text=True, cwd=folder

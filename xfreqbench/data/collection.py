@@ -16,8 +16,7 @@ from jaxtyping import Int
 from pydantic import ConfigDict, Field, PositiveInt, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass as record
 
-from xfreqbench.data.dataset import PasDataset, open_dataset, verify
-from xfreqbench.data.rows import Rows, chosen_rows
+from xfreqbench.data.dataset import PasDataset, Rows, chosen_rows, open_dataset, verify
 from xfreqbench.errors import ArgumentError, DataError, UnknownNameError
 from xfreqbench.system.arguments import FilePath, Texts, checked
 from xfreqbench.system.files import json_sha256, read_bytes, write_text
@@ -28,9 +27,6 @@ from xfreqbench.units import format_ghz_list
 FILE = "collection.json"
 Part = Literal["train", "validation", "test", "other-type"]
 PARTS: tuple[Part, ...] = get_args(Part)
-_TRAIN_PERCENT, _VALIDATION_PERCENT = 80, 10
-_MAX_OPEN = 4096  # rooms whose channels are kept in memory: about 200 kB each
-_MAX_NAMED = 5  # faults in a message
 _STRICT = ConfigDict(extra="forbid")
 _Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
@@ -175,9 +171,7 @@ class Collection:
         """The part that a room is of."""
         if room.type in self.record.held_out_types:
             return "other-type"
-        if room.percent < _TRAIN_PERCENT:
-            return "train"
-        return "validation" if room.percent < _TRAIN_PERCENT + _VALIDATION_PERCENT else "test"
+        return "train" if room.percent < 80 else "validation" if room.percent < 90 else "test"
 
     @checked
     def select(self, types: Texts | None = None, num_rooms: PositiveInt | None = None) -> Collection:
@@ -201,9 +195,9 @@ class Collection:
             )
         faults = [f"{room.file} ({fault})" for room, fault in self.faults()]
         if faults:
-            more = ", and others" if len(faults) > _MAX_NAMED else ""
+            more = ", and others" if len(faults) > 5 else ""
             raise DataError(
-                f"{len(faults)} of {len(self)} rooms are missing or damaged: {', '.join(faults[:_MAX_NAMED])}{more}. "
+                f"{len(faults)} of {len(self)} rooms are missing or damaged: {', '.join(faults[:5])}{more}. "
                 "Run the command that generated them once more; it makes these again."
             )
 
@@ -267,15 +261,11 @@ def write_collection(
 
 def room_of(folder: Path, file: str, seed: int, kind: str) -> Room:
     """The entry of a room whose data set is stored in a file of the folder; raises as `open_dataset` does."""
-    return entry_of(open_dataset(folder / file), file, seed, kind)
-
-
-def entry_of(dataset: PasDataset, file: str, seed: int, kind: str) -> Room:
-    """The entry of a room by its data set."""
+    dataset = open_dataset(folder / file)
     return Room(seed, kind, file, dataset.file_sha256, dataset.header.num_tx)
 
 
-@lru_cache(maxsize=_MAX_OPEN)
+@lru_cache(maxsize=4096)  # about 200 kB each
 def _opened(path: Path, sha256: str) -> PasDataset:
     dataset = open_dataset(path)
     if dataset.file_sha256 != sha256:

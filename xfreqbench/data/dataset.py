@@ -6,8 +6,9 @@ published as maps alone has no channels, and is read in the same way.
 
 from __future__ import annotations
 
+import reprlib
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
@@ -24,9 +25,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from xfreqbench.data import hdf5
 from xfreqbench.data.paths import GROUP, OFFSET, SamplePaths, path_variables, read_paths, stored_offsets, stored_totals
-from xfreqbench.data.recipe import OF_CONTENT, Recipe, job_differences, job_of
-from xfreqbench.data.rows import Rows, chosen_rows
-from xfreqbench.data.schema import CARRIER, SCHEMA, TX, DatasetHeader, constants, variables
+from xfreqbench.data.recipe import Recipe, job_differences, job_of
+from xfreqbench.data.schema import CARRIER, SCHEMA, DatasetHeader, variables
 from xfreqbench.errors import DataError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
@@ -39,8 +39,7 @@ from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import format_ghz_list
 
-_SHOWN_CARRIERS = 12
-_WARNED_BYTES = 1e9  # of maps that are read at once
+Rows = slice | Sequence[int] | NDArray[Any]  # which samples are meant, by their numbers or by a mask
 
 
 class Sample(NamedTuple):
@@ -115,7 +114,7 @@ class PasDataset:
     def _facts(self) -> dict[str, str]:
         header, num_samples = self.header, self.header.num_tx * self.header.num_carriers
         carriers_hz = header.carrier_hz.tolist()
-        shown = carriers_hz if len(carriers_hz) <= _SHOWN_CARRIERS else carriers_hz[:_SHOWN_CARRIERS]
+        shown = carriers_hz[:12]
         more = f" and {len(carriers_hz) - len(shown)} more" if len(shown) < len(carriers_hz) else ""
         elements = f"{header.receiver.num_elements} elements" if header.channels else "none"
         subset = {} if len(self) == num_samples else {"subset": f"{len(self)} of the {num_samples} samples"}
@@ -189,7 +188,7 @@ class PasDataset:
             how = self.scene, self.trace_settings
         except DataError:
             with self._file() as file, hdf5.read_errors(self.path, "hashes"):
-                return Recipe(self.header.scene_name, OF_CONTENT, hdf5.values_sha256(file))
+                return Recipe(self.header.scene_name, "data", hdf5.values_sha256(file))
         return Recipe.of_scene(*how, self.header, self.tables["tx_position_m"], self.grid)
 
     @cached_property
@@ -226,7 +225,7 @@ class PasDataset:
         """
         rows = chosen_rows(rows, len(self))
         num_bytes = len(self.rows[rows]) * 4 * prod(self.grid.shape)
-        if num_bytes > _WARNED_BYTES:
+        if num_bytes > 1e9:
             warnings.warn(
                 f"pas() reads {len(self.rows[rows])} maps of {self.path}, {num_bytes / 1e9:.1f} GB. pas(rows) reads "
                 "some of them, as in pas([0, 7]) or pas(slice(0, 64)), and a loop over the data set one by one.",
@@ -402,8 +401,28 @@ def holds_same_job(path: Path, header: DatasetHeader, tx_position_m: Float[Float
     return require_own(path, fault_of)
 
 
-def geometry(dataset: PasDataset) -> list[tuple[hdf5.Variable, NDArray[Any]]]:
-    """Axes, grid and receiver as a data set stores them, each variable with its values: what every method may know."""
-    known = constants(dataset.header, dataset.grid)
-    stored = variables(dataset.header, dataset.grid)
-    return [(variable, known[variable.name]) for variable in stored if variable.name in known.keys() - {TX, CARRIER}]
+def chosen_rows(rows: Any, num_samples: int) -> slice | NDArray[Any]:
+    """The numbers (n,) of samples among `num_samples`, or a slice or a mask of all, as NumPy indexes by them.
+
+    `rows` is one number, several, a slice or a mask; negative numbers count from the end. Raises `IndexError` that
+    says what there is.
+    """
+    if isinstance(rows, slice):
+        return rows
+    numbers = np.asarray(rows)
+    if not numbers.size:
+        return np.zeros(0, np.int64)
+    if numbers.dtype == bool and numbers.shape == (num_samples,):
+        return numbers
+    if numbers.ndim > 1 or not np.issubdtype(numbers.dtype, np.integer):
+        given = f"{numbers.dtype} of shape {numbers.shape}" if numbers.ndim else reprlib.repr(rows)
+        raise IndexError(
+            f"Samples are chosen by whole numbers of shape (n,), or by a mask of shape ({num_samples},), but got "
+            f"{given}."
+        )
+    numbers = np.atleast_1d(numbers)
+    beyond = numbers[(numbers < -num_samples) | (numbers >= num_samples)]
+    if beyond.size:
+        there = f"samples 0 to {num_samples - 1}" if num_samples else "no samples"
+        raise IndexError(f"There are {there}, but {beyond[0]} is asked for.")
+    return numbers

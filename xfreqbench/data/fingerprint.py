@@ -19,7 +19,6 @@ from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import format_ghz
 
 TOLERANCE = 1e-3  # of solver `image`; traced with other carriers, shipped scenes differ by up to 5e-4
-TOLERANCE_SIONNA = 1e-1  # of solver `sionna`, which misses more of the weak paths: up to 4e-2 with the default rays
 MIN_TRANSMITTERS = 4  # in common; with fewer, none may see what was changed
 _ENDING, _ADVICE = "_fingerprint.npz", "If it came with xfreqbench, install that again; else make it anew."
 
@@ -97,7 +96,8 @@ def compare_fingerprint(dataset: PasDataset) -> FingerprintMatch:
     Transmitters are matched by their positions to a micrometre. Raises `DataError` where a shipped fingerprint is
     damaged.
     """
-    tolerance = TOLERANCE_SIONNA if dataset.header.settings.get("solver") == "sionna" else TOLERANCE
+    # Sionna misses more of the weak paths: up to 4e-2 with the default rays
+    tolerance = 1e-1 if dataset.header.settings.get("solver") == "sionna" else TOLERANCE
     match = partial(FingerprintMatch, dataset.recipe, tolerance)
     known = _shipped().get(dataset.recipe.physics_sha256 or "")
     if known is None:

@@ -28,20 +28,12 @@ from xfreqbench.system.files import atomic_path, json_sha256, storage_errors, sy
 from xfreqbench.system.remote import RemotePath
 from xfreqbench.types import NDArray
 
-_METADATA_BYTES = 1 << 20  # more than any header needs, which is some kilobytes
 _BLOCK_BYTES = 1 << 25
-_SEAL = "data_sha256"
 _CONVENTIONS = {"Conventions": "CF-1.11"}  # for other programs
-_NOT_SEALED = {*_CONVENTIONS, "references"}  # these say more of data that stay the same, and so does their hash
 _TRAILER = b"xfreqbench sha256 "
-_TRAILER_BYTES = len(_TRAILER) + 64
-_LEFT_OPEN = "already open for write"  # HDF5's words for a mark in the file, which a killed program leaves
-_WRITE_AGAIN = "Write it again with h5py, h5write of MATLAB, or another HDF5 library."
-_READ_FAILURES = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)
-_ONE = 65280  # as which 1 is packed: 255 · 256, so that 8-bit levels are exact; netCDF4 takes 65535 for a missing value
-_STEP = np.float32(1 / _ONE)
-
-
+# Numbers from 0 to 1 are multiples of 1/65280: 65280 is 255 · 256, so that 8-bit levels are exact, and netCDF4 takes
+# 65535 for a missing value.
+_STEP = np.float32(1 / 65280)
 PACKED = "<u2"
 
 
@@ -50,7 +42,7 @@ def packed(maps: NDArray[np.floating]) -> NDArray[np.uint16]:
     low, high = (maps.min(), maps.max()) if maps.size else (0, 1)
     if not (low >= -RANGE_TOLERANCE and high <= 1 + RANGE_TOLERANCE):  # nan is not
         raise DataError(f"Maps are numbers from 0 to 1, but got {low:g} to {high:g}. Divide each by its maximum.")
-    return np.rint(np.clip(maps, 0, 1) * np.float32(_ONE)).astype(PACKED)
+    return np.rint(np.clip(maps, 0, 1) * np.float32(65280)).astype(PACKED)
 
 
 def unpacked(stored: NDArray[np.uint16], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
@@ -123,7 +115,7 @@ class SealedWriter:
                 raise DataError(f"{name!r} got {self._num_rows[name]} of its {variable.shape[0]} rows.")
         for name, digest in self._digests.items():
             _set_texts(self._file[name], {"sha256": digest.hexdigest()})
-        _set_texts(self._file, {_SEAL: _seal_of(self._file)})
+        _set_texts(self._file, {"data_sha256": _seal_of(self._file)})
 
 
 @contextmanager
@@ -139,7 +131,7 @@ def create_sealed(
     `groups` are the attributes of the groups that variables are in, by the group's name. `prove` is called with the
     sealed file before it gets its name; if it raises, there will be none. Raises as `atomic_path` does.
     """
-    num_bytes = sum(variable.num_bytes for variable in variables) + _METADATA_BYTES
+    num_bytes = sum(variable.num_bytes for variable in variables) + (1 << 20)  # more than any header needs
     with atomic_path(path, num_bytes) as temporary:
         with storage_errors(path, num_bytes):
             file = h5py.File(temporary, "w", libver=("v110", "v110"))
@@ -175,7 +167,7 @@ def open_sealed(path: Path, schema: str) -> Iterator[Any]:
         found = _text(file, "schema") if "schema" in file.attrs else "none"
         if found != schema:
             raise DataError(f"{path} has schema {found!r}, but {schema!r} is read here.")
-        stored.seek(-_TRAILER_BYTES, SEEK_END)
+        stored.seek(-len(_TRAILER) - 64, SEEK_END)
         if stored.read(len(_TRAILER)) != _TRAILER:  # HDF5 overwrites it in any file that it opens to write
             raise DataError(
                 f"{path} does not end in its sha256: it was not written to its end, or another program opened it "
@@ -200,7 +192,8 @@ def read_errors(path: Path, what: str = "the file", advice: str = "Generate it a
             try:
                 yield
             except OSError as error:
-                if isinstance(error, BlockingIOError) or _LEFT_OPEN in str(error):
+                # a killed program leaves a mark in the file, of which HDF5 speaks so
+                if isinstance(error, BlockingIOError) or "already open for write" in str(error):
                     raise StorageError(
                         f"{path} is in use: another program has opened it to write. Close it there and do the same "
                         "again; if that program was killed, run: h5clear -s FILE"
@@ -213,14 +206,18 @@ def read_errors(path: Path, what: str = "the file", advice: str = "Generate it a
         place = f"{path} is damaged, cut short or not HDF5"
         if isinstance(path, RemotePath):  # servers fail in ways of their own
             place, advice = str(path), f"Try again, or download it: xfreqbench.fetch({str(path)!r})"
-        elif not isinstance(error, _READ_FAILURES):
+        elif not isinstance(error, OSError | RuntimeError | LookupError | ValueError | TypeError | AttributeError):
             raise
         fault = getattr(error, "strerror", None) or error
         raise DataError(f"{place}: {what} cannot be read ({fault}). {advice}") from error
 
 
 @contextmanager
-def open_foreign(path: Path, what: str = "the file", advice: str = _WRITE_AGAIN) -> Iterator[Any]:
+def open_foreign(
+    path: Path,
+    what: str = "the file",
+    advice: str = "Write it again with h5py, h5write of MATLAB, or another HDF5 library.",
+) -> Iterator[Any]:
     """Open an HDF5 file that anybody wrote, to read `what` of it; raises as `read_errors`, and where it is missing."""
     with read_errors(path, what, advice):
         source = path.ranges() if isinstance(path, RemotePath) else path
@@ -281,7 +278,7 @@ def _dataset(file: Any, name: str) -> Any:
 
 def sealed_sha256(file: Any) -> str:
     """The stored hash over all data and the header."""
-    return _text(file, _SEAL)
+    return _text(file, "data_sha256")
 
 
 def values_sha256(file: Any) -> str:
@@ -291,7 +288,7 @@ def values_sha256(file: Any) -> str:
 
 def text_attributes(file: Any) -> dict[str, str]:
     """The attributes of a file or group as texts, without the hash over all data and the conventions."""
-    return {name: _text(file, name) for name in file.attrs if name != _SEAL and name not in _CONVENTIONS}
+    return {name: _text(file, name) for name in file.attrs if name not in ("data_sha256", *_CONVENTIONS)}
 
 
 def verify_sealed(path: Path, schema: str) -> None:
@@ -310,13 +307,13 @@ def _is_whole(path: Path) -> bool:
     """Whether the trailer of a file has the hash of all bytes before it."""
     digest = hashlib.sha256()
     with _bytes_of(path) as file:
-        file.seek(-_TRAILER_BYTES, SEEK_END)
+        file.seek(-len(_TRAILER) - 64, SEEK_END)
         left = file.tell()
         file.seek(0)
         while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
             digest.update(block)
             left -= len(block)
-        return file.read(_TRAILER_BYTES) == _TRAILER + digest.hexdigest().encode()
+        return file.read(len(_TRAILER) + 64) == _TRAILER + digest.hexdigest().encode()
 
 
 def _set_texts(owner: Any, texts: Mapping[str, str | int]) -> None:
@@ -386,7 +383,8 @@ def _seal_of(file: Any) -> str:
     """A sha256 over the hashes of all datasets in sorted order, the header and the attributes of the groups."""
     hashes = {name: _text(file[name], "sha256") for name in _dataset_names(file)}
     groups = {name: text_attributes(file[name]) for name in file if is_group(file[name])}
-    header = {name: text for name, text in text_attributes(file).items() if name not in _NOT_SEALED}
+    # references say more of data that stay the same, and so does their hash
+    header = {name: text for name, text in text_attributes(file).items() if name != "references"}
     return json_sha256([hashes, header, *([groups] if groups else [])])
 
 

@@ -22,11 +22,13 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 GROUP = "paths"
 RAGGED = tuple(field.name for field in fields(RaggedPaths) if not field.name.startswith("num_"))
 OFFSET, INTERACTION_OFFSET = f"{GROUP}/offset", f"{GROUP}/interaction_offset"
-_INTERACTIONS = ("specular", "diffuse", "refraction", "diffraction")
-INTERACTION_CODES: dict[str, int] = {name: getattr(traced, name.upper()) for name in _INTERACTIONS}
+INTERACTION_CODES = {
+    "specular": traced.SPECULAR,
+    "diffuse": traced.DIFFUSE,
+    "refraction": traced.REFRACTION,
+    "diffraction": traced.DIFFRACTION,
+}
 _PATH, _POINT = f"{GROUP}/path", f"{GROUP}/point"  # axes, and the variables that are their coordinates
-_CHUNK = 4096  # rows that are compressed together
-_KEPT = ("delay_s", *(f"{end}_{angle}_rad" for end in ("arrival", "departure") for angle in ("azimuth", "elevation")))
 
 
 class PathTotals(NamedTuple):
@@ -158,7 +160,11 @@ class SamplePaths:
             surfaces=surfaces,
             vertices_m=vertices_m,
             surface_names=surface_names,
-            **{name: getattr(paths, name) for name in _KEPT},
+            delay_s=paths.delay_s,
+            arrival_azimuth_rad=paths.arrival_azimuth_rad,
+            arrival_elevation_rad=paths.arrival_elevation_rad,
+            departure_azimuth_rad=paths.departure_azimuth_rad,
+            departure_elevation_rad=paths.departure_elevation_rad,
         )
 
 
@@ -177,7 +183,7 @@ def path_variables(header: DatasetHeader, totals: PathTotals) -> list[Variable]:
 
     def rows(name: str, dtype: str, axes: tuple[str, ...], units: str, long_name: str, flags: Any = ()) -> Variable:
         shape = tuple(size[axis] for axis in axes)
-        chunk = (min(_CHUNK, shape[0]), *shape[1:]) if shape[0] else None
+        chunk = (min(4096, shape[0]), *shape[1:]) if shape[0] else None
         return Variable(name, dtype, shape, axes, units, long_name, chunk, chunk is not None, flags)
 
     vertex_type = "<f8" if totals.has_double_vertices else "<f4"

@@ -47,9 +47,8 @@ from xfreqbench.tracing.versions import PHYSICS_VERSION, software_versions
 from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import format_ghz_list, ghz_to_hz
 
-BYTES_PER_TRIANGLE = 800  # at the peak, where solver `image` sorts them; measured in scene `lounge`
-BYTES_PER_RAY = 300  # of solver `sionna`, at the peak
-BATCH = 16  # transmitters a batch: the most that a killed process has to trace again
+# Transmitters a batch: the most that a killed process has to trace again.
+BATCH = 16
 
 
 @dataclass(frozen=True)
@@ -212,7 +211,8 @@ def plan_generation(scene: str | Path | Scene | PreparedScene, options: Generate
     scene = scene.with_polarization(pairs[0]) if pairs else scene
     rays = settings.rays if settings.solver == "sionna" else 0
     require_memory(
-        (geometry.num_triangles * BYTES_PER_TRIANGLE + rays * BYTES_PER_RAY) / 2**20,
+        # at the peak: a triangle's where solver `image` sorts them, measured in scene `lounge`, and a ray's of `sionna`
+        (geometry.num_triangles * 800 + rays * 300) / 2**20,
         f"To trace the {geometry.num_triangles:,} triangles of scene {scene.name!r} with {settings.rays:,} rays",
     )
     settings = resolve_solver(geometry, settings)

@@ -18,8 +18,6 @@ from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 RECEIVER = ReceiverArray(position_m=(4.0, 3.0, 2.6))
-_WALL_REFLECTION = 0.4
-_WRITE_BLOCK = 64  # transmitters whose maps are derived at once
 
 
 def plane_wave_data(path: Path, carrier_hz: Float[FloatArray, "F"], num_tx: int) -> PasDataset:
@@ -61,23 +59,23 @@ def stored_channels(
     )
     beam = BartlettBeam(receiver.element_position_wavelengths, AngularGrid.hemisphere())
     with PasWriter(path, header) as writer:
-        for start in range(0, len(cfr), _WRITE_BLOCK):
-            channels = cfr[start : start + _WRITE_BLOCK]
+        for start in range(0, len(cfr), 64):  # transmitters whose maps are derived at once
+            channels = cfr[start : start + 64]
             num_paths = np.full(channels.shape[:2], 2)
             samples = SampleBlock.of_channels(channels, num_paths, beam, header.pas_kind)
-            positions = tx_position_m[start : start + _WRITE_BLOCK]
+            positions = tx_position_m[start : start + 64]
             writer.append(positions, np.ones(len(positions), bool), samples)
     return open_dataset(path)
 
 
 def _channel(tx_position_m: Float[FloatArray, "3"], carrier_hz: float) -> Complex[NDArray[np.complex128], "M"]:
-    """Channel of the direct wave and of the one reflected by the wall x = 0."""
+    """Channel of the direct wave and of the one reflected by the wall x = 0, by 0.4."""
     offset_m = np.array([tx_position_m, tx_position_m * (-1, 1, 1)]) - np.asarray(RECEIVER.position_m)
     arrival = offset_m @ RECEIVER.rotation
     length_m = np.linalg.norm(arrival, axis=1)
     wavelength_m = SPEED_OF_LIGHT_M_S / carrier_hz
     return cfr_of_plane_waves(
-        np.array([1, _WALL_REFLECTION]) * wavelength_m / (4 * math.pi * length_m) + 0j,
+        np.array([1, 0.4]) * wavelength_m / (4 * math.pi * length_m) + 0j,
         length_m / SPEED_OF_LIGHT_M_S,
         arrival / length_m[:, None],
         RECEIVER.element_position_wavelengths * wavelength_m,

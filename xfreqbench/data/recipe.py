@@ -19,10 +19,8 @@ from xfreqbench.system.files import json_sha256
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray
 
-OF_CONTENT = "data"  # in place of the physics version, where nothing says how the samples were made
 # Positions of transmitters are in the data, and their antenna is in the settings.
 _NOT_PHYSICS = {"name", "description", "transmitters", "transmitter_polarization", "folder"}
-_TOLD_BY_MESHES = {"scene", "up", "mirrors", "least_patch_area_m2", "least_patch_width_m"}
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,7 @@ class Recipe:
     directions of the maps and their kind. `physics_sha256` is the hash of what the channel of any transmitter at any
     carrier follows from: the scene, the interactions with their greatest depth, what is extrapolated, and the version
     of the physics. It is None where nothing says how the data were made, as in data that
-    others published: these have their content as their recipe.
+    others published: these have their content as their recipe, with `data` in place of the version of the physics.
 
     Solver, number of rays, seed, threads, processor and versions of software are in neither hash, since they change
     nothing but digits. Only diffuse reflection is drawn at random: its seed is in both, with the number of rays of
@@ -153,7 +151,8 @@ def micrometres(position_m: Float[FloatArray, "T 3"]) -> Any:
 
 def _scene_content(scene: Scene, header: DatasetHeader) -> dict[str, Any]:
     """What of a scene's file changes a channel; of imported meshes it is the hash of all that rays can meet."""
-    content = TypeAdapter(Scene).dump_python(scene, mode="json", exclude=_NOT_PHYSICS | _TOLD_BY_MESHES)
+    told_by_meshes = {"scene", "up", "mirrors", "least_patch_area_m2", "least_patch_width_m"}
+    content = TypeAdapter(Scene).dump_python(scene, mode="json", exclude=_NOT_PHYSICS | told_by_meshes)
     content["receiver"].pop("name", None)
     for surface in content["surface"]:
         del surface["name"]

@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import InstanceOf, TypeAdapter
 
-from xfreqbench.data.collection import FILE, Collection, Room, entry_of, open_collection, room_of, write_collection
+from xfreqbench.data.collection import FILE, Collection, Room, open_collection, room_of, write_collection
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.options import GenerateOptions, taking
@@ -116,7 +116,7 @@ def generate_planned_rooms(
             shown = ", ".join(lost[:5]) + ", …" * (len(lost) > 5)
             tell(f"missing or damaged, and made again: {len(lost)} of {len(seeds)} rooms, {shown}")
         progress(len(kept), len(seeds))
-        for seed, made in side_by_side(workers, partial(made_room, plan), missing, ahead=1):
+        for seed, made in side_by_side(workers, partial(_made_room, plan), missing, ahead=1):
             path, (kind, content) = folder / plan.file_of(seed), made.result()
             with atomic_path(path, len(content)) as temporary, storage_errors(path, len(content)):
                 temporary.write_bytes(content)
@@ -126,7 +126,7 @@ def generate_planned_rooms(
         return open_collection(folder) if list(before) == rooms else _describe(plan, folder, rooms)
 
 
-def made_room(plan: RoomsPlan, seed: int) -> tuple[str, bytes]:
+def _made_room(plan: RoomsPlan, seed: int) -> tuple[str, bytes]:
     """Type and data set of a room, as the bytes of a file, which a worker writes in a folder of its own."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "room.h5"
@@ -137,11 +137,11 @@ def made_room(plan: RoomsPlan, seed: int) -> tuple[str, bytes]:
 
 def estimate_rooms(plan: RoomsPlan, probes: int = 3) -> tuple[float, float]:
     """Seconds that one core takes for all rooms, and their bytes, from a few rooms that are made and thrown away."""
-    made_room(replace(plan, options=replace(plan.options, tx=2)), plan.seeds[0])  # what has to be compiled
+    _made_room(replace(plan, options=replace(plan.options, tx=2)), plan.seeds[0])  # what has to be compiled
     seconds, sizes = list[float](), list[int]()
     for seed in plan.seeds[:probes]:
         start = time.process_time()
-        sizes.append(len(made_room(plan, seed)[1]))
+        sizes.append(len(_made_room(plan, seed)[1]))
         seconds.append(time.process_time() - start)
     return statistics.mean(seconds) * len(plan.seeds), statistics.mean(sizes) * len(plan.seeds)
 
@@ -195,7 +195,7 @@ def _kept(plan: RoomsPlan, folder: Path, seed: int) -> Room | None:
             f"{folder / file} holds {found[0]!r} by version {found[1]} of the physics, not the room of that seed by "
             f"version {PHYSICS_VERSION}. Choose another folder with -o, or delete it."
         )
-    return entry_of(dataset, file, seed, kind)
+    return Room(seed, kind, file, dataset.file_sha256, dataset.header.num_tx)
 
 
 def _describe(plan: RoomsPlan, folder: Path, rooms: Sequence[Room]) -> Collection:

@@ -20,12 +20,6 @@ from xfreqbench.system.arguments import Word, checked
 from xfreqbench.system.caches import data_folder
 from xfreqbench.system.files import sole_writer, storage_errors
 
-REGISTRY = "registry.txt"  # a line each: file, sha256 and, unless it ships, its address, as pooch reads them
-_TIMEOUT_S = 30.0  # without a byte
-_BLOCK_BYTES = 1 << 16  # at most so much of a broken download is lost
-
-Sha256 = Annotated[str, Field(pattern="^[0-9a-fA-F]{64}$")]
-
 
 class Registered(NamedTuple):
     """A data set of the registry; `url` is None where it ships with the toolkit."""
@@ -38,7 +32,8 @@ class Registered(NamedTuple):
 def registered(registry: Path | None = None, ending: str = ".h5") -> Mapping[str, Registered]:
     """The files of a registry that have a name, by that name; without `registry`, the data sets."""
     book = _book({}, {})
-    book.load_registry(registry or shipped_folder() / REGISTRY)
+    # a line each: file, sha256 and, unless it ships, its address
+    book.load_registry(registry or shipped_folder() / "registry.txt")
     return {
         file.removesuffix(ending): Registered(file, sha256, book.urls.get(file))
         for file, sha256 in book.registry.items()
@@ -70,7 +65,7 @@ def load(name: Word) -> PasDataset:
 
 
 @checked
-def fetch(name_or_url: Word, sha256: Sha256 | None = None) -> PasDataset:
+def fetch(name_or_url: Word, sha256: Annotated[str, Field(pattern="^[0-9a-fA-F]{64}$")] | None = None) -> PasDataset:
     """Download a data set by its name or its address (http, https) once, keep it, and open it.
 
     What was fetched before is not downloaded again, and a download that broke off goes on where it stopped. The file is
@@ -148,12 +143,12 @@ def _go_on(most_bytes: float, url: str, output: str, book: Any) -> None:
     with arrived.open("ab") as stored:
         start = stored.tell()
         asked = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={start}-"} if start else {})
-        with requests.get(url, headers=asked, stream=True, timeout=_TIMEOUT_S) as answer:
+        with requests.get(url, headers=asked, stream=True, timeout=30.0) as answer:
             if answer.status_code != requests.codes.requested_range_not_satisfiable:  # that is: nothing is missing
                 answer.raise_for_status()
                 if answer.status_code != requests.codes.partial_content:  # the server sends all of it
                     stored.truncate(0)
-                for block in answer.iter_content(_BLOCK_BYTES):
+                for block in answer.iter_content(1 << 16):
                     stored.write(block)
                     if stored.tell() > most_bytes:
                         advice = "Download it yourself, look at it, and give its path"

@@ -2,6 +2,11 @@
 
 They are computed from the paths to the array centre, stored ones or of transmitters that are traced again. Path gains
 hold both antennas' patterns, so a path loss is that of isotropic antennas where both are (`pattern = "iso"`).
+
+The standards are medians: of 3GPP TR 38.901 V19 (Tables 7.4.1-1, 7.5-6 and 7.5-10, indoor office), of Recommendation
+ITU-R P.1238 (site-general model, office), of the mmMAGIC project (deliverable D2.2, 6 to 100 GHz, indoor), and of
+small rooms: the delay spread by the rule of 38.901 for a hall of given volume and surface, and the decay of room
+electromagnetics (Andersen et al., 2007).
 """
 
 from __future__ import annotations
@@ -15,7 +20,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import InstanceOf, PositiveInt
 
-from xfreqbench.data import standards
 from xfreqbench.data.dataset import PasDataset, stored_paths
 from xfreqbench.data.retrace import traced_scene
 from xfreqbench.errors import DataError, SceneError
@@ -25,11 +29,22 @@ from xfreqbench.tracing.absorption import mean_absorption
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, REFRACTION, RaggedPaths
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.types import FloatArray, IntArray, NDArray
-from xfreqbench.units import format_ghz
+from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
 WINDOW_DB = 25.0
-_DELAY_STEPS = 10_000  # of a nanosecond, in each of which the power of all diffuse paths counts together
 MECHANISMS = ("direct", "reflected", "transmitted", "diffracted", "diffuse")
+# Of each spread, a and b of log10(value) = a + b·log10(1 + f), f in GHz, in sight and not, in seconds and degrees. In
+# 38.901 the downlink leaves the array, so that its departures (lgASD, lgZSD) are our arrivals.
+_SPREADS = {
+    "delay_spread_s": {"38901": ((-7.692, -0.01), (-7.173, -0.28)), "mmmagic": ((-7.75, -0.13), (-7.58, -0.01))},
+    "arrival_azimuth_spread_deg": {"38901": ((1.60, 0.0), (1.62, 0.0))},
+    "departure_azimuth_spread_deg": {
+        "38901": ((1.781, -0.19), (1.863, -0.11)),
+        "mmmagic": ((2.09, -0.24), (1.863, -0.11)),
+    },
+    "arrival_zenith_spread_deg": {"38901": ((2.228, -1.43), (1.08, 0.0))},
+    "departure_zenith_spread_deg": {"38901": ((1.44, -0.26), (1.387, -0.15))},
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,23 +108,26 @@ class ChannelStatistics:
         row: dict[str, Any] = {"in_sight": in_sight, "carrier_ghz": carrier_hz / 1e9, "links": len(rows)}
         row["path_loss_db"] = _median(loss_db)
         row["path_loss_exponent"] = _exponent(loss_db, distance_m)
-        for name, model in (("38901", standards.tr38901_path_loss_db), ("p1238", standards.p1238_path_loss_db)):
-            above_db = loss_db - model(distance_m, carrier_hz, in_sight)
+        standard = of_standards(distance_m, carrier_hz, in_sight)
+        for name in ("38901", "p1238"):
+            above_db = loss_db - standard[f"path_loss_{name}_db"]
             row[f"path_loss_above_{name}_db"] = float(above_db.mean()) if len(rows) else np.nan
             row[f"path_loss_above_{name}_sd_db"] = float(above_db.std()) if len(rows) else np.nan
         row["k_factor_db"] = _median(links.k_factor_db[rows, carrier])
-        row["k_factor_38901_db"] = standards.TR38901_K_DB if in_sight else np.nan
-        row["k_factor_mmmagic_db"] = standards.mmmagic_k_db(carrier_hz) if in_sight else np.nan
+        row |= {name: standard[name] for name in ("k_factor_38901_db", "k_factor_mmmagic_db")}
         row["num_paths"] = _median(links.num_paths[rows, carrier])
-        for name, standard in _SPREADS.items():
+        for name in _SPREADS:
             unit, scale = ("ns", 1e9) if name == "delay_spread_s" else ("deg", 1.0)
-            stem = name.rpartition("_")[0]
+            stem, _, of_unit = name.rpartition("_")
             row[f"{stem}_{unit}"] = _median(getattr(links, name)[rows, carrier]) * scale
-            for kind, table in (("38901", standards.TR38901_SPREADS), ("mmmagic", standards.MMMAGIC_SPREADS)):
-                row[f"{stem}_{kind}_{unit}"] = standards.spread_by(table, standard, carrier_hz, in_sight) * scale
-        row["delay_spread_small_room_ns"] = standards.small_room_delay_spread_s(self.volume_m3, self.surface_m2) * 1e9
-        absorption = float(self.absorption[carrier])
-        row["delay_spread_room_decay_ns"] = standards.room_decay_s(self.volume_m3, self.surface_m2, absorption) * 1e9
+            for kind in ("38901", "mmmagic"):
+                row[f"{stem}_{kind}_{unit}"] = standard[f"{stem}_{kind}_{of_unit}"] * scale
+        # 38.901's rule for factory halls (InF), 10^(log10(26·V/S + 14) − 9.35), and the time in which the diffuse power
+        # of a room falls by 1/e, 4V / (c·η·S), of the mean absorption η: the spread of a channel that decays so
+        volume_m3, surface_m2, absorption = self.volume_m3, self.surface_m2, float(self.absorption[carrier])
+        row["delay_spread_small_room_ns"] = (26 * volume_m3 / surface_m2 + 14) * 10**-0.35
+        decay_s = 4 * volume_m3 / (SPEED_OF_LIGHT_M_S * surface_m2 * absorption) if absorption else np.inf
+        row["delay_spread_room_decay_ns"] = decay_s * 1e9
         shares = links.power_share[rows, carrier]
         means = shares.mean(axis=0) if len(rows) else np.full(len(MECHANISMS), np.nan)
         return {**row, **{f"share_{name}": mean for name, mean in zip(MECHANISMS, means.tolist(), strict=True)}}
@@ -118,27 +136,17 @@ class ChannelStatistics:
         parts = [f"statistics of {self.source}; spreads, K and paths within {WINDOW_DB:g} dB of the strongest"]
         if np.isfinite(self.volume_m3):
             parts.append(f"room       {self.volume_m3:.0f} m³ and {self.surface_m2:.0f} m² about the surfaces")
+        powers = ("links", "path loss dB", "over 38.901", "over P.1238", "exponent", "K dB (38.901, mmMAGIC)")
+        spreads = (
+            *("paths", "delay ns (38.901, mmMAGIC, small room, decay)", "azimuth° at array (38.901)"),
+            *("at transmitter (38.901, mmMAGIC)", "zenith° at array", "at transmitter"),
+        )
         for in_sight, title in ((True, "in sight"), (False, "not in sight")):
             rows = [row for row in self.rows if row["in_sight"] == in_sight]
             if rows:
-                for header, cells in (((*_POWER_HEADER, *MECHANISMS), _power_cells), (_SPREAD_HEADER, _spread_cells)):
-                    parts.append("\n" + _aligned([(title, *header), *map(cells, rows)]))
+                parts.append("\n" + _aligned([(title, *powers, *MECHANISMS), *map(_power_cells, rows)]))
+                parts.append("\n" + _aligned([(title, *spreads), *map(_spread_cells, rows)]))
         return "\n".join(parts)
-
-
-# of each statistic of a link, the one of 38.901, whose downlink leaves the array: its departures are our arrivals
-_SPREADS = {
-    "delay_spread_s": "lgDS",
-    "arrival_azimuth_spread_deg": "lgASD",
-    "departure_azimuth_spread_deg": "lgASA",
-    "arrival_zenith_spread_deg": "lgZSD",
-    "departure_zenith_spread_deg": "lgZSA",
-}
-_POWER_HEADER = ("links", "path loss dB", "over 38.901", "over P.1238", "exponent", "K dB (38.901, mmMAGIC)")
-_SPREAD_HEADER = (
-    *("paths", "delay ns (38.901, mmMAGIC, small room, decay)", "azimuth° at array (38.901)"),
-    *("at transmitter (38.901, mmMAGIC)", "zenith° at array", "at transmitter"),
-)
 
 
 def _power_cells(row: dict[str, Any]) -> tuple[str, ...]:
@@ -224,6 +232,30 @@ def statistics(dataset: InstanceOf[PasDataset], num_tx: PositiveInt = 200, seed:
     return ChannelStatistics(links, x * y * z, 2 * (x * y + y * z + z * x), absorption, source)
 
 
+def of_standards(distance_m: Float[FloatArray, "n"], carrier_hz: float, in_sight: bool) -> dict[str, Any]:
+    """What standards say of links in an office at n distances: path losses (n,), K, and the median of each spread.
+
+    The path loss of 38.901 is for 1 to 150 m and .5 to 100 GHz, that of P.1238 for 2 to 27 m and .3 to 83.5 GHz. What a
+    standard does not say is nan.
+    """
+    decades, carrier_ghz = np.log10(distance_m), carrier_hz / 1e9
+    seen = 32.4 + 17.3 * decades + 20 * np.log10(carrier_ghz)
+    unseen = np.maximum(seen, 17.3 + 38.3 * decades + 24.9 * np.log10(carrier_ghz))
+    alpha, beta, gamma = (1.46, 34.62, 2.03) if in_sight else (2.46, 29.53, 2.38)
+    told: dict[str, Any] = {
+        "path_loss_38901_db": seen if in_sight else unseen,
+        "path_loss_p1238_db": 10 * alpha * decades + beta + 10 * gamma * np.log10(carrier_ghz),
+        "k_factor_38901_db": 7.0 if in_sight else np.nan,
+        "k_factor_mmmagic_db": float(4.9 + 5 * np.log10(1 + carrier_ghz)) if in_sight else np.nan,
+    }
+    for name, laws in _SPREADS.items():
+        stem, _, unit = name.rpartition("_")
+        for kind, least_ghz in (("38901", 6.0), ("mmmagic", 0.0)):  # below 6 GHz, 38.901 takes that of 6 GHz indoors
+            constant, slope = laws[kind][0 if in_sight else 1] if kind in laws else (np.nan, np.nan)
+            told[f"{stem}_{kind}_{unit}"] = float(10 ** (constant + slope * np.log10(1 + max(least_ghz, carrier_ghz))))
+    return told
+
+
 def of_paths(paths: RaggedPaths, carrier: int, window_db: float = WINDOW_DB) -> dict[str, Float[FloatArray, "T *S"]]:
     """The statistics of `LinkStatistics`, by name, of all T transmitters at the carrier of that number."""
     num_tx = len(paths.num_paths)
@@ -235,7 +267,8 @@ def of_paths(paths: RaggedPaths, carrier: int, window_db: float = WINDOW_DB) -> 
     mechanism = _mechanism(paths)
     # what tiles scatter counts together, whatever their size
     diffuse = mechanism == MECHANISMS.index("diffuse")
-    step = tx * _DELAY_STEPS + np.minimum(paths.delay_s * 1e9, _DELAY_STEPS - 1).astype(np.int64)
+    steps = 10_000  # of a nanosecond
+    step = tx * steps + np.minimum(paths.delay_s * 1e9, steps - 1).astype(np.int64)
     nth = np.unique(step, return_inverse=True)[1].ravel()
     together = np.bincount(nth, power * diffuse)[nth]
     near = np.where(np.where(diffuse, together, power) >= least, power, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ def to_xarray(data: PasDataset) -> Any:
     except ImportError as error:
         raise XFreqBenchError("to_xarray needs xarray. Run: pip install xarray") from error
     dims = {"pas": ("sample", ELEVATION, AZIMUTH), "cfr": ("sample", ELEMENT), "tx_position_m": ("sample", AXIS)}
-    of_file = {variable.name: variable for variable in variables(data.header, data.grid)}
+    of_file = {variable.name: variable for variable in variables(replace(data.header, maps=True), data.grid)}
     where = {TX: data.tx_index, CARRIER: data.carrier_hz, "tx_position_m": data.tx_position_m}
     of_samples = where | {"line_of_sight": data.tables["line_of_sight"][data.tx_index]}
     of_samples |= {name: data.tables[name].flat[data.rows] for name in ("peak_power", "num_paths")}

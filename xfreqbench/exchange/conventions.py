@@ -24,10 +24,6 @@ from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 Degrees = Annotated[float, Field(allow_inf_nan=False)]
-Count = Annotated[int, Field(ge=1, le=64)]
-Pixels = Annotated[int, Field(ge=2, le=4096)]
-_NOT_ABOUT_MAPS = ("read_in", "caveat", "index", "num_rows", "num_columns")
-Values = Literal["amplitude", "power", "phase-only-amplitude"]
 
 
 @dataclass(frozen=True)
@@ -49,28 +45,24 @@ class Convention:
     last_row_deg: Degrees
     first_column_deg: Degrees
     last_column_deg: Degrees
-    values: Values
+    values: Literal["amplitude", "power", "phase-only-amplitude"]
     read_in: str
     caveat: str = ""  # what is wrong with the maps themselves, which no other field can correct
     darkest: Literal["zero", "minimum"] = "zero"
     peak: Literal["source", "opposite"] = "source"
     quaternion: Literal["xyzw", "wxyz"] = "xyzw"
     plane: ArrayPlane = "xy"
-    array_rows: Count = 4
-    array_cols: Count = 4
+    array_rows: Annotated[int, Field(ge=1, le=64)] = 4
+    array_cols: Annotated[int, Field(ge=1, le=64)] = 4
     spacing_wavelengths: Annotated[float, Field(gt=0, le=10)] = 0.5
     index: Literal["file-stem", "zero-based"] = "file-stem"
-    num_rows: Pixels = 90
-    num_columns: Pixels = 360
-
-    @property
-    def last_column_repeats_the_first(self) -> bool:
-        """Whether the first and the last azimuth are the same direction."""
-        return bool(np.isclose(abs(self.last_column_deg - self.first_column_deg), 360))
+    num_rows: Annotated[int, Field(ge=2, le=4096)] = 90
+    num_columns: Annotated[int, Field(ge=2, le=4096)] = 360
 
     def drawing_fields(self) -> dict[str, Any]:
         """The fields that must be the same when maps are drawn and when they are read, with their values."""
-        return {name: value for name, value in asdict(self).items() if name not in _NOT_ABOUT_MAPS}
+        not_about_maps = ("read_in", "caveat", "index", "num_rows", "num_columns")
+        return {name: value for name, value in asdict(self).items() if name not in not_about_maps}
 
     @property
     def pas_kind(self) -> PasKind:
@@ -177,6 +169,7 @@ CONVENTIONS = {
         "an assumption. Sets in which the receiver moves and the transmitter stands have no place in a data set.",
     ),
 }
+# Projects whose data cannot come in as folders of maps, and why.
 NO_CONVENTIONS = {
     "newrf": "LuHaofan/NeWRF publishes channels between single antennas, which have no map of angles, as pickles of "
     "Python, which are never loaded here, for they may run code. Its rooms are STL files: name one in a Mitsuba XML as "
@@ -184,7 +177,7 @@ NO_CONVENTIONS = {
     "rf-3dgs": "SunLab-UGA/RF-3DGS publishes pictures by pinhole cameras at many places of the receiver, for one place "
     "of the transmitter, with poses in COLMAP's format. Maps here are hemispheres seen from one receiver, for many "
     "places of the transmitter: neither can be made from the other.",
-}  # projects whose data cannot come in as folders of maps, and why
+}
 
 
 def convention_named(name: str, assignments: Iterable[str] = ()) -> Convention:
@@ -198,11 +191,6 @@ def convention_named(name: str, assignments: Iterable[str] = ()) -> Convention:
     if name not in CONVENTIONS:
         raise UnknownNameError("convention", name, CONVENTIONS)
     convention = override(CONVENTIONS[name], assignments)
-    _check_angles(convention)
-    return convention
-
-
-def _check_angles(convention: Convention) -> None:
     rows = convention.first_row_deg, convention.last_row_deg
     if min(rows) < 0 or max(rows) > 90 or rows[0] == rows[1]:
         raise DataError(
@@ -215,6 +203,7 @@ def _check_angles(convention: Convention) -> None:
             f"Columns from {convention.first_column_deg:g} to {convention.last_column_deg:g} degrees span "
             f"{span_deg:g}; give --set first_column_deg and last_column_deg that span more than 0, and 360 at most."
         )
+    return convention
 
 
 def convention_rows() -> list[tuple[str, ...]]:
@@ -227,5 +216,5 @@ def convention_rows() -> list[tuple[str, ...]]:
     for name in shown:
         values = (getattr(convention, name) for convention in CONVENTIONS.values())
         rows.append((name, *(f"{value:g}" if isinstance(value, float) else str(value) for value in values)))
-    repeats = ("yes" if convention.last_column_repeats_the_first else "no" for convention in CONVENTIONS.values())
-    return [*rows, ("last column repeats first", *repeats)]
+    spans_deg = (abs(convention.last_column_deg - convention.first_column_deg) for convention in CONVENTIONS.values())
+    return [*rows, ("last column repeats first", *("yes" if np.isclose(span, 360) else "no" for span in spans_deg))]

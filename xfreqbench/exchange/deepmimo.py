@@ -26,9 +26,8 @@ from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, REFRACTION, SPECULAR, RaggedPaths
 from xfreqbench.types import FloatArray, ProgressCallback, ignore_progress
 
-FORMAT_VERSION = "4.0.5"  # of the package whose files these are
-DIGITS = {SPECULAR: 1, DIFFRACTION: 2, DIFFUSE: 3, REFRACTION: 4}  # DeepMIMO's codes of interactions
-_OF_THE_PAIR = "t000_tx000_r001.npz"  # transmitter 0 of set 0, and the receivers of set 1
+# DeepMIMO's codes of interactions.
+DIGITS = {SPECULAR: 1, DIFFRACTION: 2, DIFFUSE: 3, REFRACTION: 4}
 
 
 def export_deepmimo(path: Path, folder: Path, progress: ProgressCallback = ignore_progress) -> PasDataset:
@@ -53,12 +52,12 @@ def export_deepmimo(path: Path, folder: Path, progress: ProgressCallback = ignor
             tables = _tables(paths, carrier, carrier_hz)
             tables["rx_pos"] = dataset.tables["tx_position_m"]
             tables["tx_pos"] = np.array([dataset.header.receiver.position_m])
-            for key, table in tables.items():
-                np.savez_compressed(scenario / f"{key}_{_OF_THE_PAIR}", **{key: table})
+            for key, table in tables.items():  # of transmitter 0 of set 0, and the receivers of set 1
+                np.savez_compressed(scenario / f"{key}_t000_tx000_r001.npz", **{key: table})
             scene = _write_scene(scenario, meshes)
             num_heard = int((~np.isnan(tables["power"])).any(axis=1).sum())
             parameters = {
-                "version": FORMAT_VERSION,
+                "version": "4.0.5",  # of the package whose files these are
                 "rt_params": _tracing(dataset, carrier_hz),
                 "txrx_sets": _sets(dataset.header.num_tx, num_heard),
                 "materials": _materials(slabs_of(meshes), carrier_hz, dataset.trace_settings.materials),

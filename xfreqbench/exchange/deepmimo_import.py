@@ -35,20 +35,13 @@ from xfreqbench.types import FloatArray, IntArray, NDArray, ProgressCallback, ig
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
 Elevations = Literal["zenith", "horizon"]
-PARAMETERS = "params.json"
 _OF_PATHS = ("power", "phase", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter")
 _CODES = {digit: code for code, digit in DIGITS.items()}
-_MOST_DIGITS = 16  # of which a float64 holds every one
-LEAST_CARRIER_HZ = 1e6  # what is lower is in another unit
-_LATE_M, _LATE = 1.0, 0.1  # how far a delay may be off the length of its path, plus a share of that
-_OFF_M, _OFF = 0.05, 0.035  # how far an angle may miss its point, plus 2 degrees of the way there: points are rounded
-_MOST_GAIN_DB = 20  # of both antennas together
-_AT_ONCE = 64  # users whose paths and maps are made together
-_ADVICE = "Convert the scenario anew, with all its matrices."
+_ADVICE = "Convert the scenario again, with all its matrices."
 
 
 class _Tracing(BaseModel):
-    frequency: Annotated[float, Field(ge=LEAST_CARRIER_HZ, lt=1e15)]
+    frequency: Annotated[float, Field(ge=1e6, lt=1e15)]  # what is lower is in another unit
     raytracer_name: str
 
 
@@ -112,7 +105,7 @@ def import_deepmimo(
     header = _header(folder, scenarios, users, elevations)
     if holds_same_job(path, header, first.user_m[users]):
         return False
-    parts = [users[start : start + _AT_ONCE] for start in range(0, len(users), _AT_ONCE)]
+    parts = np.split(users, range(64, len(users), 64))  # whose paths and maps are made together
     paths = [_ragged(scenarios, part) for part in parts]
     beam = BartlettBeam(header.receiver.element_position_wavelengths, AngularGrid.hemisphere())
     done = 0
@@ -130,22 +123,22 @@ def import_deepmimo(
 
 def _folders(folder: Path) -> list[Path]:
     """The scenarios in a folder, or the folder itself where it is one."""
-    if (folder / PARAMETERS).exists():
+    if (folder / "params.json").exists():
         return [folder]
-    found = sorted(path.parent for path in folder.glob(f"*/{PARAMETERS}"))
+    found = sorted(path.parent for path in folder.glob("*/params.json"))
     if not found:
-        raise DataError(f"{folder} is no scenario of DeepMIMO v4, nor holds any: there is no {PARAMETERS}.")
+        raise DataError(f"{folder} is no scenario of DeepMIMO v4, nor holds any: there is no params.json.")
     return found
 
 
 def _read(folder: Path, pair: str | None, elevations: Elevations) -> Scenario:
-    digest = hashlib.sha256()
+    digest, parameters = hashlib.sha256(), folder / "params.json"
     try:
-        content = read_bytes(folder / PARAMETERS)
+        content = read_bytes(parameters)
         told = _Parameters.model_validate_json(content)
     except (OSError, ValidationError) as error:
         fault = error.strerror if isinstance(error, OSError) else fault_of_fields(error)
-        raise DataError(f"{folder / PARAMETERS} is not that of a DeepMIMO v4 scenario: {fault}.") from error
+        raise DataError(f"{parameters} is not that of a DeepMIMO v4 scenario: {fault}.") from error
     digest.update(content)
     name = _chosen(folder, pair, {antennas.id for antennas in told.txrx_sets.values() if antennas.is_tx})
     forms = dict.fromkeys(_OF_PATHS, "real U L") | {
@@ -252,7 +245,8 @@ def _require_geometry(scenario: Scenario, elevations: Elevations) -> None:
         length_m = np.linalg.norm(way_m, axis=1)
         elevation_deg = tables[f"{end}_el"] if counted_from == "horizon" else 90 - tables[f"{end}_el"]
         along = directions(np.radians(tables[f"{end}_az"]), np.radians(elevation_deg))
-        return np.linalg.norm(along * length_m[:, None] - way_m, axis=1) > _OFF_M + _OFF * length_m
+        # points are rounded: 5 cm, and 2 degrees of the way there
+        return np.linalg.norm(along * length_m[:, None] - way_m, axis=1) > 0.05 + 0.035 * length_m
 
     def faults(counted_from: Elevations) -> dict[str, int]:
         missing = {end: misses(end, counted_from) for end in ends_m}
@@ -262,17 +256,17 @@ def _require_geometry(scenario: Scenario, elevations: Elevations) -> None:
     is_met = np.arange(points_m.shape[1])[None, :, None] < num_met[:, None, None]
     way_m = np.concatenate([station_m, np.where(is_met, points_m, user_m), user_m], axis=1)
     length_m = np.linalg.norm(np.diff(way_m, axis=1), axis=2).sum(axis=1)
-    is_late = np.abs(tables["delay"] * SPEED_OF_LIGHT_M_S - length_m) > _LATE_M + _LATE * length_m
+    is_late = np.abs(tables["delay"] * SPEED_OF_LIGHT_M_S - length_m) > 1.0 + 0.1 * length_m
     if is_wrong(is_late):
         raise DataError(
             f"{scenario.files['delay']} does not fit the lengths of {is_late.sum()} of {len(user)} paths; convert the "
-            "scenario anew, with delays in seconds from the transmission and positions in metres."
+            "scenario again, with delays in seconds from the transmission and positions in metres."
         )
     gain = 10 ** (tables["power"] / 20) * 4 * np.pi * length_m * scenario.carrier_hz / SPEED_OF_LIGHT_M_S
-    is_strong = gain > 10 ** (_MOST_GAIN_DB / 20)
+    is_strong = gain > 10  # 20 dB, of both antennas together
     if is_wrong(is_strong):
         raise DataError(
-            f"{scenario.files['power']}: {is_strong.sum()} of {len(user)} paths are over {_MOST_GAIN_DB} dB stronger "
+            f"{scenario.files['power']}: {is_strong.sum()} of {len(user)} paths are over 20 dB stronger "
             "than a wave in free space over the same length. Convert the scenario again, with powers in dB of received "
             "over transmitted power; in dBm of 1 W they are 30 dB more."
         )
@@ -280,7 +274,7 @@ def _require_geometry(scenario: Scenario, elevations: Elevations) -> None:
     for end, num_off in faults(elevations).items():
         advice = f"counted from the {instead} they hit it: give --elevations {instead}"
         if faults(instead):
-            advice = "convert the scenario anew, with angles in degrees in the frame of its positions, azimuths from x"
+            advice = "convert the scenario again, with angles in degrees in the frame of its positions, azimuths from x"
         raise DataError(
             f"{scenario.files[f'{end}_el']}, counted from the {elevations}, and {scenario.files[f'{end}_az'].name} "
             f"miss the next point of {num_off} of {len(user)} paths; {advice}."
@@ -288,9 +282,12 @@ def _require_geometry(scenario: Scenario, elevations: Elevations) -> None:
 
 
 def _digits(numbers: Float[FloatArray, "P"]) -> IntArray:
-    """The decimal digits of numbers, the last in the last of `_MOST_DIGITS` columns, and zeros before the first."""
+    """The decimal digits of numbers, the last in the last of 16 columns, and zeros before the first.
+
+    A float64 holds every number of 16 digits.
+    """
     whole = np.clip(numbers, 0, 10.0**15).astype(np.int64)
-    return whole[:, None] // 10 ** np.arange(_MOST_DIGITS - 1, -1, -1, dtype=np.int64) % 10
+    return whole[:, None] // 10 ** np.arange(15, -1, -1, dtype=np.int64) % 10
 
 
 def _require_alike(folder: Path, scenarios: Sequence[Scenario]) -> None:

@@ -14,9 +14,6 @@ from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.tracing.paths import RaggedPaths
 from xfreqbench.types import FloatArray, IntArray, NDArray, ProgressCallback, ignore_progress
 
-INVALID_SHAPE = 0xFFFFFFFF  # Sionna RT's mark for no object
-_NO_DELAY_S = -1.0  # Sionna RT's mark for no path
-
 
 class PaddedPaths:
     """The paths of T transmitters as arrays of T × L, L the longest list, and of T × L × D for their interactions.
@@ -91,9 +88,10 @@ def export_sionna_npz(path: Path, folder: Path, progress: ProgressCallback = ign
     with atomic_folder(folder) as temporary, storage_errors(folder):
         for carrier, carrier_hz, name in carrier_names(dataset):
             padded = PaddedPaths(paths, carrier)
+            # where there is none, Sionna RT has -1 for a path's delay, and 0xFFFFFFFF for an object
             tables: dict[str, Any] = {
                 "valid": padded.is_path,
-                "tau": padded.of_paths(paths.delay_s, _NO_DELAY_S),
+                "tau": padded.of_paths(paths.delay_s, -1.0),
                 "theta_t": padded.zenith_rad(paths.departure_elevation_rad, 0.0),
                 "phi_t": padded.of_paths(paths.departure_azimuth_rad, 0.0),
                 "theta_r": padded.zenith_rad(paths.arrival_elevation_rad, 0.0),
@@ -101,7 +99,7 @@ def export_sionna_npz(path: Path, folder: Path, progress: ProgressCallback = ign
             }
             along: dict[str, Any] = {
                 "interactions": padded.of_interactions(paths.interaction.astype(np.uint32), 0),
-                "objects": padded.of_interactions(paths.surface.astype(np.uint32), INVALID_SHAPE),
+                "objects": padded.of_interactions(paths.surface.astype(np.uint32), 0xFFFFFFFF),
                 "vertices": padded.of_interactions(paths.vertex_m, 0.0),
             }
             np.savez_compressed(

@@ -31,7 +31,6 @@ from xfreqbench.exchange.conventions import Convention
 from xfreqbench.exchange.png_folder import (
     BRIGHTEST,
     CARRIERS,
-    CONVENTION,
     MAPS,
     POSITIONS,
     RECEIVER,
@@ -43,8 +42,8 @@ from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.system.files import atomic_folder, require_empty, require_text, storage_errors
 from xfreqbench.types import IntArray, NDArray, ProgressCallback, ignore_progress
 
-_BATCH = 16  # transmitters, or maps to export, that are in memory at once
-_MAX_PIXELS = 30_000_000  # of the transmitters that are in memory at once
+# Transmitters, or maps to export, that are in memory at once.
+_BATCH = 16
 
 
 def import_png_folder(source: PngFolder, path: Path, progress: ProgressCallback = ignore_progress) -> bool:
@@ -56,7 +55,8 @@ def import_png_folder(source: PngFolder, path: Path, progress: ProgressCallback 
     header = _header(source)
     if holds_same_job(path, header, source.tx_position_m):
         return False
-    batch = max(1, min(_BATCH, _MAX_PIXELS // (len(source.carrier_hz) * math.prod(source.grid.shape))))
+    pixels = len(source.carrier_hz) * math.prod(source.grid.shape)
+    batch = max(1, min(_BATCH, 30_000_000 // pixels))
     with PasWriter(path, header, source.grid) as writer:
         for start in range(0, header.num_tx, batch):
             part = slice(start, start + batch)
@@ -156,7 +156,7 @@ def _write_texts(folder: Path, dataset: PasDataset, convention: Convention) -> N
     (folder / CARRIERS).write_text("".join(f"{carrier:.15g}\n" for carrier in carrier_ghz), encoding="utf-8")
     quaternion = convention.published_quaternion(header.receiver.quaternion_xyzw)
     receiver = (
-        f"{CONVENTION}: {json.dumps(convention.drawing_fields())}  # how xfreqbench drew the maps\n"
+        f"convention: {json.dumps(convention.drawing_fields())}  # how xfreqbench drew the maps\n"
         f"dataset_name: {json.dumps(header.scene_name)}\n"
         "gateway1:\n"
         f"  position: {list(header.receiver.position_m)}\n"

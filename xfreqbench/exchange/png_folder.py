@@ -43,16 +43,11 @@ from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import format_ghz, ghz_to_hz, parse_number
 
 BRIGHTEST = 255
-MAX_PIXELS = 1_000_000  # a map with a step of a fifth of a degree has 810,000
-_MAX_BYTES, _MAX_YAML_BYTES = 4_000_000, 100_000  # of a PNG, whose every chunk is read, and of a receiver
+# Of a map; one with a step of a fifth of a degree has 810,000.
+MAX_PIXELS = 1_000_000
 Levels = UInt8[NDArray[np.uint8], "R C"]
 POSITIONS, CARRIERS, RECEIVER, MAPS = "tx_pos.csv", "freq.txt", "gateway_info.yml", "spectrum"
-CONVENTION = "convention"  # key of `gateway_info.yml` under which our exports say how the maps are drawn
 IGNORED = ("train_index.txt", "test_index.txt")
-_NUMBERED = re.compile(
-    r"(?<![\d.])(?<!^[-+])(\d{1,18})(\.[a-z]\w*)?$", re.IGNORECASE | re.ASCII
-)  # of an index or a file
-_NO_TURN = (0.0, 0.0, 0.0, 1.0)
 
 
 def shape_of(path: Path) -> tuple[int, int]:
@@ -85,7 +80,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is above ours
-            image = Image.open(io.BytesIO(read_bytes(require_regular(path, _MAX_BYTES))), formats=["PNG"])
+            image = Image.open(io.BytesIO(read_bytes(require_regular(path, 4_000_000))), formats=["PNG"])
         with image:
             if image.width * image.height > MAX_PIXELS:
                 raise Image.DecompressionBombError
@@ -221,7 +216,7 @@ def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
             f"{path} has the orientation {list(published)}, a quaternion of no length near 1; [0, 0, 0, 1], in the "
             "order x, y, z, w, is no turn."
         )
-    is_turned = quaternion != _NO_TURN
+    is_turned = quaternion != (0.0, 0.0, 0.0, 1.0)
     boresight = quaternion_rotation(quaternion)[:, 2].tolist() if is_turned else (0.0, 0.0, 1.0)
     try:
         return ReceiverArray(
@@ -242,7 +237,7 @@ def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
 def _yaml(path: Path) -> dict[Any, Any]:
     """The mapping in a YAML file, all values as texts: YAML takes 010 for 8. Empty if the file holds something else."""
     try:
-        text = "\n".join(_lines(path, _MAX_YAML_BYTES))
+        text = "\n".join(_lines(path, 100_000))
         content = yaml.load(text, yaml.BaseLoader)  # which makes no objects but texts, lists and mappings
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise DataError(f"{path} is no YAML: {' '.join(str(error).split())}.") from error
@@ -251,14 +246,14 @@ def _yaml(path: Path) -> dict[Any, Any]:
 
 def _check_declared(path: Path, content: dict[Any, Any], convention: Convention) -> None:
     """Raise `DataError` if the folder says that its maps are drawn in another way than the convention."""
-    declared, stated = content.get(CONVENTION), convention.drawing_fields()
+    declared, stated = content.get("convention"), convention.drawing_fields()
     declared = declared if isinstance(declared, dict) else {}
     texts = {name: text for name, text in declared.items() if isinstance(text, str)}
     differing = [name for name, value in stated.items() if declared.get(name, value) not in (value, str(value))]
     differing = [name for name in differing if _numbers(texts.get(name, ""), 1) != (stated[name],)]
     if not all(map(texts.get, differing)):
         raise DataError(
-            f"{path} has no value for {', '.join(differing)} under {CONVENTION!r}. Remove that line, and give what it "
+            f"{path} has no value for {', '.join(differing)} under 'convention'. Remove that line, and give what it "
             "meant by --set."
         )
     if differing:
@@ -318,9 +313,10 @@ def _check_order(table: Table) -> None:
 
     Such a column holds 0, 1, … or 1, 2, …, or names of images, or different numbers under such a name or none.
     """
+    numbered = re.compile(r"(?<![\d.])(?<!^[-+])(\d{1,18})(\.[a-z]\w*)?$", re.IGNORECASE | re.ASCII)
     for column in {*range(len(table.names))}.difference(table.axes()):
         name, num_lines = table.names[column], len(table.lines)
-        found = [each for cell in table.columns[column] if (each := _NUMBERED.search(cell))]
+        found = [each for cell in table.columns[column] if (each := numbered.search(cell))]
         numbers = [int(each[1]) for each in found]
         is_order = name in ("", "index", "sample") or all(each[2] for each in found) or max(numbers) <= num_lines
         if len({*numbers}) == num_lines and is_order and numbers != (ascending := sorted(numbers)):

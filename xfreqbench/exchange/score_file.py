@@ -47,11 +47,6 @@ from xfreqbench.system.files import exclusive, json_sha256, require_space, requi
 from xfreqbench.types import ProgressCallback, ignore_progress
 
 PAS = "pas"
-_ADVICE = {
-    "split_sha256": "Copy it from the split file: group.attrs.update(split.attrs).",
-    "method": "Write group.attrs['method'] = 'mine', or give --method.",
-    "url": "It begins with https://.",
-}
 
 
 def _one_line(text: str) -> str:
@@ -284,7 +279,12 @@ def _declaration(place: str, owners: Sequence[Any], method: str | None) -> Decla
         fault = error.errors()[0]
         name = str(fault["loc"][0])
         words = "it is missing" if fault["type"] == "missing" else fault["msg"]
-        raise DataError(f"{place}, attribute {name!r}: {words}. {_ADVICE.get(name, '')}") from error
+        advice = {
+            "split_sha256": "Copy it from the split file: group.attrs.update(split.attrs).",
+            "method": "Write group.attrs['method'] = 'mine', or give --method.",
+            "url": "It begins with https://.",
+        }
+        raise DataError(f"{place}, attribute {name!r}: {words}. {advice.get(name, '')}") from error
 
 
 def _plain(value: Any) -> Any:

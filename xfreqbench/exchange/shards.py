@@ -38,7 +38,6 @@ the frame of the array.
 ```
 """
 Columns = dict[str, NDArray[Any]]  # by name, a row a sample
-_CFR = ", and the channel of every element, `cfr_real` and `cfr_imag`"
 _ROOM = (
     "; the seed of its `room`, `rx_position_m` (x, y, z) and `frame_rotation`, 3 × 3 row by row, from the array's axes "
     "to the world. Splits are the collection's parts"
@@ -169,7 +168,7 @@ def _readme(splits: Mapping[str, PasDataset | Collection], total: int, to: str) 
         number=total,
         rows=rows,
         columns=columns,
-        cfr=_CFR if one.header.channels else "",
+        cfr=", and the channel of every element, `cfr_real` and `cfr_imag`" if one.header.channels else "",
         room=_ROOM if isinstance(data, Collection) else "",
         low=degrees(elevation_rad[0]),
         high=degrees(elevation_rad[-1]),

@@ -22,8 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from xfreqbench.data.dataset import PasDataset, geometry
+from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.hdf5 import SealedWriter, Variable, create_sealed, open_sealed, text_attributes, verify_sealed
+from xfreqbench.data.schema import constants, variables
 from xfreqbench.data.splits import Split
 from xfreqbench.errors import DataError, ProtocolError
 from xfreqbench.runs.scoring import BATCH_SIZE
@@ -123,10 +124,11 @@ def _attributes(dataset: PasDataset, split: Split) -> dict[str, str]:
 
 def _variables(handout: Handout, split: Split) -> list[Variable]:
     E, A = handout.dataset.grid.shape
-    variables = [variable for variable, _ in geometry(handout.dataset)]
+    header, grid = handout.dataset.header, handout.dataset.grid
+    known = [variable for variable in variables(header, grid) if variable.name in _geometry(handout.dataset)]
     for part, rows in (("train", split.train), ("test", split.test)):
         row, shape = f"{part}_row", (len(rows),)
-        variables += [
+        known += [
             Variable(row, "<i8", shape, (row,), "1", "row of the data set: tx · F + carrier"),
             Variable(f"{part}_tx_position_m", "<f8", (*shape, 3), (row, "axis"), "m", "transmitter position"),
             Variable(f"{part}_carrier_hz", "<f8", shape, (row,), "Hz", "carrier frequency"),
@@ -135,17 +137,23 @@ def _variables(handout: Handout, split: Split) -> list[Variable]:
         axes = ("train_row", "elevation_deg", "azimuth_deg")
         long_name = f"power angular spectrum ({handout.dataset.header.pas_kind}), peak 1"
         maps = Variable(MAPS, "<f4", (len(split.train), E, A), axes, "1", long_name, chunk=(1, E, A))
-        variables.append(maps)
+        known.append(maps)
     prefix = f"{split.name}/"
     return [
         replace(variable, name=prefix + variable.name, axes=tuple(prefix + axis for axis in variable.axes))
-        for variable in variables
+        for variable in known
     ]
+
+
+def _geometry(dataset: PasDataset) -> dict[str, NDArray[Any]]:
+    """Axes, grid and receiver as a data set stores them: what every method may know."""
+    known = constants(dataset.header, dataset.grid)
+    return {name: values for name, values in known.items() if name not in ("tx", "carrier_hz")}
 
 
 def _append_known(writer: SealedWriter, dataset: PasDataset, split: Split) -> None:
     """Write everything of a split but its maps."""
-    values: dict[str, NDArray[Any]] = {variable.name: known for variable, known in geometry(dataset)}
+    values = _geometry(dataset)
     for part, rows in (("train", split.train), ("test", split.test)):
         samples = dataset[rows]
         values[f"{part}_row"] = rows

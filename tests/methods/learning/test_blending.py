@@ -13,8 +13,7 @@ from xfreqbench.baselines.xfreq_gs import XFreqGS, XFreqGSConfig
 
 from tests.support.synthetic import write_dataset
 from tests.support.training import TINY, predicted, reloaded, trained
-from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.rows import Rows
+from xfreqbench.data.dataset import PasDataset, Rows
 from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.learning import blending
 from xfreqbench.methods.learning.blending import KINDS, LEARNED, Blend, Choice, Holdout

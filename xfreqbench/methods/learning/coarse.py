@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.rows import Rows, chosen_rows
+from xfreqbench.data.dataset import PasDataset, Rows, chosen_rows
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.types import NDArray

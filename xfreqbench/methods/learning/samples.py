@@ -12,8 +12,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from xfreqbench.data.collection import Collection
-from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.rows import chosen_rows
+from xfreqbench.data.dataset import PasDataset, chosen_rows
 from xfreqbench.system.arguments import checked
 
 
