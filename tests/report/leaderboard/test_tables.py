@@ -21,9 +21,9 @@ from xfreqbench.maps.metrics import METRICS
 from xfreqbench.methods.contract import Budget
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.page import write_page
-from xfreqbench.report.leaderboard.report import leaderboard_summary, write_report
+from xfreqbench.report.leaderboard.report import report_text, write_report
 from xfreqbench.report.leaderboard.results import ranked_beside
-from xfreqbench.report.leaderboard.tables import csv_tables
+from xfreqbench.report.leaderboard.tables import Leaderboard, csv_tables
 
 
 def test_the_summary_goes_by_average_ssim_and_gives_skill() -> None:
@@ -99,7 +99,7 @@ def test_records_of_different_versions_are_not_ranked_together(field: str) -> No
 def test_the_summary_shows_the_whole_board_that_a_run_stands_on_and_no_other(tmp_path: Path) -> None:
     others = [make_record(dataset_sha256="c" * 64), make_record("old", protocol_version="0")]
     results = store(tmp_path, *make_records(), *others)
-    summary = leaderboard_summary(ranked_beside(results, [make_records()[-1]]))
+    summary = str(Leaderboard(ranked_beside(results, [make_records()[-1]])))
     assert rows_of(summary, "ours")[0]["skill"] == "0.500"
     assert rows_of(summary, "nearest") and not rows_of(summary, "old")
     assert summary.count("| method") == 1
@@ -158,7 +158,7 @@ def test_no_name_is_a_formula_of_a_spreadsheet(tmp_path: Path, start: str) -> No
 def test_a_long_measurement_is_cut_and_stands_whole_beside_the_page(tmp_path: Path, num_rows: int) -> None:
     store(tmp_path, make_bench(columns=("ms", "ms"), rows=[(f"{n}", "x") for n in range(num_rows)]))
     for _ in range(2):  # the second time over files of its own
-        page, *_ = write_report(tmp_path, tmp_path / "B.md").paths
+        page, *_ = write_report(tmp_path, tmp_path / "B.md")
     whole = tmp_path / "bench-generate-error-against-run-time.csv"
     assert whole.exists() == (f"]({whole.name})" in page.read_text("utf-8")) == (num_rows > 12)
     if whole.exists():
@@ -166,8 +166,8 @@ def test_a_long_measurement_is_cut_and_stands_whole_beside_the_page(tmp_path: Pa
         assert (first, last) == ("measurement,ms 1,ms 2", "Error against run time,12,x")
 
 
-def test_of_a_measurement_taken_twice_the_later_counts() -> None:
+def test_of_a_measurement_taken_twice_the_later_counts(tmp_path: Path) -> None:
     later = make_bench(rows=(("image", "0.5"),), time_utc="2026-01-02T00:00:00+00:00")
-    markdown = leaderboard_markdown([], [later, make_bench(), make_bench(title="another")])
-    assert "0.5" in markdown
-    assert markdown.count("1.5") == 1  # the other title's
+    text = report_text(store(tmp_path, later, make_bench(), make_bench(title="another")))
+    assert "0.5" in text
+    assert text.count("1.5") == 1  # the other title's

@@ -11,11 +11,9 @@ import xfreqbench as xb
 from tests.support.leaderboard_records import make_records, of_three_seeds
 from tests.support.stored_records import SPLITS, store
 from xfreqbench.errors import DataError, XFreqBenchError
-from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.columns import TABLE, leaderboard_columns
-from xfreqbench.report.leaderboard.comparison import comparisons_of
-from xfreqbench.report.leaderboard.report import leaderboard_summary
-from xfreqbench.report.leaderboard.text import Leaderboard
+from xfreqbench.maps.metrics import METRICS
+from xfreqbench.report.leaderboard.columns import metric_title
+from xfreqbench.report.leaderboard.tables import Leaderboard
 
 
 def of(*records: object) -> Leaderboard:
@@ -24,7 +22,7 @@ def of(*records: object) -> Leaderboard:
 
 def test_it_reads_a_folder_and_prints_as_the_command_does(tmp_path: Path) -> None:
     shown = xb.leaderboard(store(tmp_path, *make_records()))
-    assert repr(shown) == str(shown) == shown._repr_markdown_() == leaderboard_summary(make_records())
+    assert repr(shown) == str(shown) == shown._repr_markdown_() == str(Leaderboard(tuple(make_records())))
     assert repr(xb.leaderboard(tmp_path / "records.jsonl")) == repr(shown)
     with pytest.raises(DataError, match="does not exist"):
         xb.leaderboard(tmp_path / "nowhere")
@@ -32,8 +30,8 @@ def test_it_reads_a_folder_and_prints_as_the_command_does(tmp_path: Path) -> Non
 
 def test_a_data_frame_has_the_columns_of_the_reports_as_numbers() -> None:
     frame = of(*make_records()).to_pandas()
-    (comparison,) = comparisons_of(boards(make_records())[0])
-    titles = {column.title for column in leaderboard_columns(comparison, TABLE)}
+    titles = {*map(metric_title, METRICS), "method", "best rank", "worst rank", "mean", "10th pct.", "skill", "± seeds"}
+    titles |= {"seeds", "fit s", "ms/map", "peak MiB", "parameters", "trained on"}
     where = {"scene", "protocol", "maps", "data", "budget", "splits"}
     assert titles <= set(frame.columns)
     assert set(frame.columns) - titles - where <= {f"{title} {end}" for title in titles for end in ("low", "high")}
