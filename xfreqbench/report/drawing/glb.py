@@ -19,11 +19,6 @@ from xfreqbench.types import FloatArray
 
 Colour = tuple[int, int, int, int]  # red, green, blue and opacity, from 0 to 255
 
-_SURFACE = 150, 160, 175, 60
-_OCTAHEDRON = np.vstack([np.eye(3), -np.eye(3)])
-_OCTAHEDRON_FACES = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
-_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from z upwards to y upwards
-
 
 class GlbModel:
     """A 3D model to which shapes are added: each is a node with a name and one colour, visible from both sides.
@@ -34,7 +29,7 @@ class GlbModel:
     def __init__(self) -> None:
         self._scene = trimesh.Scene()
 
-    def add_surface(self, mesh: SurfaceMesh, colour: Colour = _SURFACE, material: str | None = None) -> None:
+    def add_surface(self, mesh: SurfaceMesh, colour: Colour = (150, 160, 175, 60), material: str | None = None) -> None:
         """Add a surface of a scene, as the node `surface NAME`, under the name of a material where one is given."""
         shape = trimesh.Trimesh(mesh.vertices_m, mesh.triangles)
         self._add(f"surface {mesh.name}", shape, colour, material)
@@ -52,8 +47,9 @@ class GlbModel:
         """Add small octahedra at N positions as one mesh of 168 bytes each; without positions, add nothing."""
         if not len(position_m):
             return
-        vertices_m = position_m[:, None] + radius_m * _OCTAHEDRON
-        triangles = 6 * np.arange(len(position_m))[:, None, None] + _OCTAHEDRON_FACES
+        faces = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
+        vertices_m = position_m[:, None] + radius_m * np.vstack([np.eye(3), -np.eye(3)])
+        triangles = 6 * np.arange(len(position_m))[:, None, None] + faces
         vertices_m, triangles = vertices_m.reshape(-1, 3), triangles.reshape(-1, 3)
         self._add(name, trimesh.Trimesh(vertices_m, triangles, process=False), colour)
 
@@ -76,7 +72,8 @@ class GlbModel:
         mode = "OPAQUE" if colour[3] == 255 else "BLEND"
         look = PBRMaterial(name=material, baseColorFactor=colour, alphaMode=mode, doubleSided=True)  # type: ignore[no-untyped-call]
         shape.visual = trimesh.visual.TextureVisuals(material=look)  # type: ignore[no-untyped-call]
-        self._scene.add_geometry(shape, node_name=name, geom_name=name, transform=_Y_UP)
+        y_up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from z upwards
+        self._scene.add_geometry(shape, node_name=name, geom_name=name, transform=y_up)
 
 
 def _sign(tree: dict[str, Any]) -> None:
