@@ -17,14 +17,13 @@ from pathlib import Path
 
 from xfreqbench.report.drawing.markdown import ABSENT, table
 from xfreqbench.report.leaderboard.boards import Board
-from xfreqbench.report.leaderboard.columns import leaderboard_columns
+from xfreqbench.report.leaderboard.captions import reduced_statement
+from xfreqbench.report.leaderboard.columns import columns
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.paper import ship_maps
-from xfreqbench.report.leaderboard.published import reduced_statement
-from xfreqbench.report.leaderboard.report import BEGIN, END, WrittenReport, write_report
+from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
 from xfreqbench.report.leaderboard.results import read_results, results_at
-from xfreqbench.report.leaderboard.rows import median_ssim
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = [ROOT / "baselines" / f"{name}_results.jsonl" for name in ("reference", "paper_size", "unseen_rooms")]
@@ -61,14 +60,14 @@ def readme_table(boards: Sequence[Board]) -> str:
         (alone, paper),
     ]
     body = []
-    for comparison, row in sorted(shown, key=lambda pair: -pair[1].average(alone.splits, median_ssim)):
-        columns = leaderboard_columns(comparison, ("rank", "maps", "average", "skill"))
-        rank, *others = (column.cell(row) for column in columns)
+    for comparison, row in sorted(shown, key=lambda pair: -pair[1].average(alone.splits)):
+        every = columns(comparison, ("rank", "maps", "average", "skill"))
+        rank, *others = (column.cell(row) for column in every)
         body.append([rank if comparison is ranked else ABSENT, row.job.method, *others])
     return table(["rank", "method", "training maps", "median SSIM", "skill"], body)
 
 
-def remake(root: Path, page: Path | None = None) -> WrittenReport:
+def remake(root: Path, page: Path | None = None) -> list[Path]:
     """Make the pages below `root`, and the web page; pages of results that are made no more are removed."""
     found, details = read_results(RECORDS), root / "docs" / "results"
     page_md = root / "BENCHMARK.md"
@@ -77,7 +76,7 @@ def remake(root: Path, page: Path | None = None) -> WrittenReport:
         written = write_report(found, page_md, details, results_at("v1"))
     finally:
         _replace(page_md, MARKS)
-    for path in set(details.rglob("*.*")) - set(written.paths):
+    for path in set(details.rglob("*.*")) - set(written):
         if path.name != BY_HAND:
             path.unlink()
     readme = root / "README.md"

@@ -36,7 +36,7 @@ from .methods.learning.training import ChannelField as ChannelField
 from .methods.learning.training import LearnedMethod as LearnedMethod
 from .methods.learning.training import TrainingConfig as TrainingConfig
 from .methods.rooms import PerRoom as PerRoom
-from .report.leaderboard.text import leaderboard as leaderboard
+from .report.leaderboard.tables import leaderboard as leaderboard
 from .runs.folder import load_method as load_method
 from .runs.folder import load_predictions as load_predictions
 from .runs.folder import read_records as read_records

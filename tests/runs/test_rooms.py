@@ -23,7 +23,7 @@ from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.rooms import PerRoom
 from xfreqbench.methods.template import write_method_package
 from xfreqbench.report.leaderboard.results import read_results
-from xfreqbench.report.leaderboard.text import leaderboard
+from xfreqbench.report.leaderboard.tables import leaderboard
 from xfreqbench.report.leaderboard.unseen_rooms import room_tables, rooms_overview
 from xfreqbench.runs import rooms as answers
 from xfreqbench.runs import run as runner

@@ -8,13 +8,12 @@ from tests.support.stored_records import SPLITS, make_record
 from xfreqbench.methods.contract import Budget
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.report import report_markdown
-from xfreqbench.report.leaderboard.results import latest_benches
 from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, CurvePoint
 
 
 def leaderboard_markdown(records, benches=()):
     """What a report says of records and measurements."""
-    return report_markdown(boards(records), latest_benches(benches))
+    return report_markdown(boards(records), benches)
 
 
 def make_records():

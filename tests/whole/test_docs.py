@@ -27,7 +27,7 @@ from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.splits import make_splits
 from xfreqbench.exchange.conventions import convention_rows
 from xfreqbench.exchange.split_file import Handout, write_handout
-from xfreqbench.report.leaderboard.shown_maps import ShownMaps
+from xfreqbench.report.leaderboard.maps import ShownMaps
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.tracing.sionna.llvm import ensure_llvm
 

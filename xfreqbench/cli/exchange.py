@@ -252,8 +252,8 @@ def score(
         and `method`.
     """
     from xfreqbench.exchange.score_file import score_file
-    from xfreqbench.report.leaderboard.report import leaderboard_summary
     from xfreqbench.report.leaderboard.results import ranked_beside
+    from xfreqbench.report.leaderboard.tables import Leaderboard
     from xfreqbench.system.bars import progress_bars
 
     with progress_bars("maps", ["checking", "scoring"], quiet) as (checking, scoring):
@@ -264,7 +264,4 @@ def score(
         say(f"every map of {silent} in {predictions} is zero. Was each divided by its maximum before it was rounded?")
     if not scored.is_data_known:
         say(f"{predictions} has no dataset_sha256, so it is assumed to be of {data}", quiet)
-    say(
-        f"{leaderboard_summary(ranked_beside(results, scored.records))}\n\nEvery metric: xfreqbench report {results}",
-        quiet,
-    )
+    say(f"{Leaderboard(ranked_beside(results, scored.records))}\n\nEvery metric: xfreqbench report {results}", quiet)

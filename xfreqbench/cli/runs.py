@@ -192,11 +192,11 @@ def run(
         print(f"{protocol} on {data.name}: {estimate_runs(tasks, results, executor)}; nothing was run")
         return
     records = run_shown(tasks, results, executor, not quiet)
-    from xfreqbench.report.leaderboard.report import leaderboard_summary  # after the refusals, which it would delay
     from xfreqbench.report.leaderboard.results import ranked_beside
+    from xfreqbench.report.leaderboard.tables import Leaderboard  # after the refusals, which it would delay
 
     more = "Tables by carrier, type of room and sight" if protocol in ROOM_PROTOCOLS else "Every metric"
-    say(f"{leaderboard_summary(ranked_beside(results, records))}\n\n{more}: xfreqbench report {results}", quiet)
+    say(f"{Leaderboard(ranked_beside(results, records))}\n\n{more}: xfreqbench report {results}", quiet)
 
 
 @app.command(group=RUN, help_epilogue=example("benchmark --preset quick"))
@@ -313,11 +313,11 @@ def report(
         Results folder, file of records, its address (https), or a frozen version of the reference board (v1); those of
         several are ranked together.
     """
+    from xfreqbench.report.leaderboard.maps import require_own_maps
     from xfreqbench.report.leaderboard.page import require_page, write_page
     from xfreqbench.report.leaderboard.paper import ship_maps
-    from xfreqbench.report.leaderboard.report import write_report
+    from xfreqbench.report.leaderboard.report import report_text, write_report
     from xfreqbench.report.leaderboard.results import read_results, results_at
-    from xfreqbench.report.leaderboard.shown_maps import require_own_maps
 
     found = read_results([*map(results_at, results)])
     earlier = None if since is None else results_at(since)
@@ -325,12 +325,12 @@ def report(
         require_page(found, html)
     if maps is not None:
         require_own_maps(maps)
-    written = write_report(found, output, details, earlier)
     if output is None:
-        say(written.text, quiet)
-    for path in written.paths:
-        say(f"wrote {path}", quiet)
-    if written.num_truncated:
+        say(report_text(found, details, earlier), quiet)
+    else:
+        for path in write_report(found, output, details, earlier):
+            say(f"wrote {path}", quiet)
+    if found.num_truncated:
         say("the last line of the records is cut off, as a killed run leaves it; it was not read", quiet)
     if maps is not None:
         say(f"wrote {ship_maps(found, maps)}", quiet)

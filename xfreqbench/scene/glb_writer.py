@@ -19,7 +19,6 @@ from xfreqbench.types import FloatArray
 Colour = tuple[int, int, int, int]  # red, green, blue and opacity, from 0 to 255
 
 _SOFTWARE = "xfreqbench"  # the mark by which a model is known as ours when it is replaced
-_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from z upwards to y upwards
 
 
 def material_hex(material: str) -> str:
@@ -77,10 +76,9 @@ class GlbModel:
         """Add small octahedra at N positions as one mesh of 168 bytes each; without positions, add nothing."""
         if not len(position_m):
             return
+        faces = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
         vertices_m = position_m[:, None] + radius_m * np.vstack([np.eye(3), -np.eye(3)])
-        triangles = 6 * np.arange(len(position_m))[:, None, None] + np.array(
-            [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
-        )
+        triangles = 6 * np.arange(len(position_m))[:, None, None] + faces
         vertices_m, triangles = vertices_m.reshape(-1, 3), triangles.reshape(-1, 3)
         self._add(name, trimesh.Trimesh(vertices_m, triangles, process=False), colour)
 
@@ -103,7 +101,8 @@ class GlbModel:
         mode = "OPAQUE" if colour[3] == 255 else "BLEND"
         look = PBRMaterial(name=material, baseColorFactor=colour, alphaMode=mode, doubleSided=True)  # type: ignore[no-untyped-call]
         shape.visual = trimesh.visual.TextureVisuals(material=look)  # type: ignore[no-untyped-call]
-        self._scene.add_geometry(shape, node_name=name, geom_name=name, transform=_Y_UP)
+        y_up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from z upwards
+        self._scene.add_geometry(shape, node_name=name, geom_name=name, transform=y_up)
 
 
 def is_own_model(path: Path) -> bool:

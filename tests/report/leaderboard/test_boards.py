@@ -7,9 +7,7 @@ import pytest
 from tests.support.stored_records import SPLITS, external, make_record
 from xfreqbench.methods.contract import LANES, Budget
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
-from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles, short_name
-from xfreqbench.report.leaderboard.origins import short_commit
-from xfreqbench.report.leaderboard.rows import median_ssim
+from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles, short_commit, short_name
 from xfreqbench.runs.records import Job, RunRecord
 
 
@@ -28,7 +26,7 @@ def test_seeds_of_a_method_are_one_row_and_count_by_their_mean() -> None:
     row = only_row(*(seeded(ssim, seed) for seed, ssim in enumerate((0.90, 0.92, 0.97))))
     assert row.label == "ours (≤ 300 s)"
     assert [record.job.seed for record in row.by_split[SPLITS[0]]] == [0, 1, 2]
-    assert row.value(SPLITS[0], median_ssim) == pytest.approx(0.93)
+    assert row.average([SPLITS[0]]) == pytest.approx(0.93)
     assert row.num_seeds(SPLITS[:1]) == (3, 3)
 
 
@@ -39,18 +37,18 @@ def test_the_spread_over_seeds_is_that_of_their_averages() -> None:
         seeded(ssim, seed, split) for seed, each in enumerate((of_first, of_second)) for split, ssim in each.items()
     ]
     row = only_row(*records)
-    assert row.seed_spread(SPLITS[:2], median_ssim) == pytest.approx(0)
-    assert row.seed_spread(SPLITS[:1], median_ssim) == pytest.approx(0.04 / math.sqrt(2))
+    assert row.seed_spread(SPLITS[:2]) == pytest.approx(0)
+    assert row.seed_spread(SPLITS[:1]) == pytest.approx(0.04 / math.sqrt(2))
 
 
 def test_a_seed_that_was_not_run_on_every_split_has_no_part_in_the_spread() -> None:
     row = only_row(*(seeded(0.9, seed) for seed in (1, 2)), seeded(0.8, 1, SPLITS[1]))
-    assert math.isnan(row.seed_spread(SPLITS[:2], median_ssim))
+    assert math.isnan(row.seed_spread(SPLITS[:2]))
     assert row.num_seeds(SPLITS[:2]) == (1, 2)
 
 
 def test_an_average_over_a_split_that_was_not_run_is_unknown() -> None:
-    assert math.isnan(only_row(seeded(0.9, 0)).average(SPLITS[:2], median_ssim))
+    assert math.isnan(only_row(seeded(0.9, 0)).average(SPLITS[:2]))
 
 
 def test_sets_of_splits_come_with_that_of_most_rows_first() -> None:
@@ -83,7 +81,7 @@ def test_a_commit_is_cut_and_keeps_that_the_source_was_edited() -> None:
 def test_runs_of_other_code_are_another_row() -> None:
     records = [seeded(0.9, 0, code_sha256="a" * 64), seeded(0.8, 1, code_sha256="b" * 64)]
     (board,) = boards(records)
-    assert sorted(row.value(SPLITS[0], median_ssim) for row in board.rows) == [0.8, 0.9]
+    assert sorted(row.average([SPLITS[0]]) for row in board.rows) == [0.8, 0.9]
 
 
 def test_versions_of_a_method_are_named_by_their_time_and_their_code() -> None:
@@ -148,7 +146,7 @@ def test_a_board_has_one_budget_and_trivial_predictors_stand_on_every_one() -> N
         "minutes (≤ 300 s)": ["ours"],
         "≤ 9 steps": ["ours"],
     }
-    assert all(board.best_trivial(SPLITS[0]) == 0.8 for board in boards(records))
+    assert all(board.best_trivial[SPLITS[0]] == 0.8 for board in boards(records))
     assert len({board.slug for board in boards(records)}) == len(found)
     (together,) = boards(records, by_budget=False)
     assert len(together.rows) == len(NEEDED_TRIVIAL) + 6
@@ -157,10 +155,10 @@ def test_a_board_has_one_budget_and_trivial_predictors_stand_on_every_one() -> N
 def test_a_trivial_predictor_that_was_added_later_sets_skill_where_it_was_run() -> None:
     trivial = [make_record(name, 0.8, split) for name in NEEDED_TRIVIAL for split in SPLITS[:2]]
     (board,) = boards([*trivial, make_record("k-nearest", 0.9, SPLITS[0])])
-    assert [board.best_trivial(split) for split in SPLITS[:2]] == [0.9, 0.8]
+    assert [board.best_trivial[split] for split in SPLITS[:2]] == [0.9, 0.8]
     assert {row.family for row in board.rows} == {"trivial"}
     (alone,) = boards([make_record("k-nearest", 0.9, SPLITS[0])])
-    assert math.isnan(alone.best_trivial(SPLITS[0]))
+    assert not alone.best_trivial
 
 
 def test_quantiles_of_several_seeds_are_those_of_their_samples_together() -> None:
@@ -178,7 +176,7 @@ def test_external_predictions_are_marked_and_a_built_in_name_merges_with_nothing
         ("nearest (external)", False, "external"),
         *((name, True, "trivial") for name in sorted(NEEDED_TRIVIAL)),
     ]
-    assert board.best_trivial(SPLITS[0]) == 0.8
+    assert board.best_trivial[SPLITS[0]] == 0.8
 
 
 def test_external_files_that_share_no_part_are_one_row() -> None:

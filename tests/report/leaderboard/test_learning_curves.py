@@ -1,14 +1,16 @@
 from __future__ import annotations
 
 from math import inf, isnan
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.support.leaderboard_records import make_followed, make_records
 from tests.support.stored_records import SPLITS, make_record
+from xfreqbench.report.leaderboard import plots
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.learning_curves import best_trivial, learning_curves, pareto_front, split_front
+from xfreqbench.report.leaderboard.figures import figures_of, pareto_front
 from xfreqbench.report.leaderboard.tables import csv_tables
 
 REACHED = "best trivial reached after s"
@@ -56,15 +58,15 @@ def test_learning_curves_are_means_over_seeds_and_times_their_medians() -> None:
     assert (points[-1], reached) == ((1, 6.4, 0.7), [6.4])
 
 
-def test_the_pareto_front_starts_with_the_best_trivial_predictor() -> None:
+def test_the_figure_has_the_front_above_the_best_trivial_predictor(monkeypatch: pytest.MonkeyPatch) -> None:
     trivial = make_record("nearest", 0.55, SPLITS[0], ssim_by_tx=[(0.55,)] * 100, fit_seconds=0.0)
-    (board, *_) = boards([trivial, make_followed(), make_followed("slow", end=0.65)])
-    front = split_front(learning_curves(board, board.splits), best_trivial(board, SPLITS[0]))
-    assert [(point.label, point.ssim) for point in front] == [
-        ("nearest", 0.55),
-        ("ours (≤ 64 steps)", 0.6),
-        ("ours (≤ 64 steps)", 0.7),
-    ]
+    ranked, drawn = boards([trivial, make_followed(), make_followed("slow", end=0.65)]), []
+    monkeypatch.setattr(plots, "plot_error_against_time", lambda panels, path: drawn.append(panels))
+    for draw in figures_of(ranked, []).values():
+        draw(Path("unused.svg"))
+    ((lines, front, level),) = drawn[0].values()
+    assert lines.keys() == {"ours (≤ 64 steps)", "slow (≤ 64 steps)"} and level == 0.55
+    assert front == [(0.9, 0.6), (6.4, 0.7)]
 
 
 def test_the_front_is_what_a_literal_search_finds() -> None:

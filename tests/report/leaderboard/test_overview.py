@@ -42,7 +42,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def written(results: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     """The pages of a short report, `B.md` the first."""
     folder = tmp_path_factory.mktemp("report")
-    paths = write_report(results, folder / "B.md", folder / "docs" / "all").paths
+    paths = write_report(results, folder / "B.md", folder / "docs" / "all")
     return tuple(path for path in paths if path.suffix == ".md")
 
 

@@ -29,7 +29,6 @@ from xfreqbench.report.drawing.figures import map_png
 from xfreqbench.report.leaderboard.boards import boards
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.results import VERSIONS, results_at
-from xfreqbench.report.leaderboard.rows import median_ssim
 
 CONTENT = re.compile(r'<script type="application/json" id="content">(.*?)</script>', re.DOTALL)
 
@@ -72,10 +71,10 @@ def test_the_table_without_a_script_holds_the_numbers_of_the_records(html: str, 
     board = next(board for board in boards(stored(results)) if board.protocol == "lofo")
     for row in board.rows:
         _, average, skill, *by_split = map(float, page.values[row.label][: 3 + len(SPLITS)])
-        assert by_split == [row.value(split, median_ssim) for split in SPLITS]
-        assert average == row.average(SPLITS, median_ssim)
+        assert by_split == [row.average([split]) for split in SPLITS]
+        assert average == row.average(SPLITS)
         assert np.isnan(skill)  # two of the trivial predictors were not run
-    best = max((row for row in board.rows if row.is_trivial), key=lambda row: row.average(SPLITS, median_ssim))
+    best = max((row for row in board.rows if row.is_trivial), key=lambda row: row.average(SPLITS))
     marked = [told["data-label"] for tag, told in page.tags if tag == "tr" and told.get("class") == "best-trivial"]
     assert marked[0] == best.label and len(marked) == 2  # one a table
 

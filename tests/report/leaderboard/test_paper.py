@@ -10,14 +10,22 @@ from tests.support.leaderboard_records import make_records, of_three_seeds, rows
 from tests.support.stored_records import SPLITS, external, make_record, store
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles
-from xfreqbench.report.leaderboard.paper import claims_table, paper_figures, paper_markdown
-from xfreqbench.report.leaderboard.published import published_content, sources_of, stands_for
+from xfreqbench.report.leaderboard.captions import sources_of
+from xfreqbench.report.leaderboard.paper import claims_table, paper_page
 from xfreqbench.report.leaderboard.report import write_report
+from xfreqbench.report.leaderboard.results import RankedResults
 from xfreqbench.runs.records import RunRecord
 
 CLAIM = "XFreq-GS is better than GSRF (0.9098 against 0.7235)"
 TOLD = {"sees_carrier": True, "footprint": "projected"}
 BLIND = {"sees_carrier": False, "latent": 0, "footprint": "projected"}
+
+
+def page_of(*records: RunRecord) -> tuple[str, dict]:
+    """The page of the paper and what draws its figures."""
+    page = paper_page(RankedResults((), records, boards(records), [], 0))
+    assert page is not None
+    return page
 
 
 def fitted(method: str, shift: float, **changes: object) -> list[RunRecord]:
@@ -56,10 +64,10 @@ def test_the_method_as_the_paper_has_it_is_judged_beside_the_aided_one() -> None
 def test_an_ablation_is_compared_with_the_plain_method_and_not_with_another_ablation() -> None:
     blind = fitted("xfreq-gs", -0.05, config=BLIND)
     blind = [with_job(record, overrides=("sees_carrier=false", "latent=0")) for record in blind]
-    ranked = boards([*blind, *fitted("xfreq-gs", 0.0, config=TOLD)])
-    text = paper_markdown(ranked)
+    records = [*blind, *fitted("xfreq-gs", 0.0, config=TOLD)]
+    text, _ = page_of(*records)
     claim = "XFreq-GS is better with frequency modulation than without (0.9278 against 0.8977)"
-    assert rows_of(claims_table(ranked), claim)[0][QUICK].endswith("holds")
+    assert rows_of(claims_table(boards(records)), claim)[0][QUICK].endswith("holds")
     plain, ablation = (rows_of(text, name)[0]["SSIM median"] for name in ("full", "without frequency modulation"))
     assert (plain.split("(")[1], ablation.split("(")[1]) == ("0.9278)", "0.8977)")
     assert float(plain.split()[0]) > float(ablation.split()[0])
@@ -70,16 +78,16 @@ def test_an_ablation_is_compared_with_the_plain_method_and_not_with_another_abla
 def test_the_level_of_ninety_per_cent_stands_beside_the_papers_and_the_figure_is_drawn(tmp_path: Path) -> None:
     trivial = [record for record in make_records() if record.job.method != "ours"]
     records = [*fitted("xfreq-gs", 0.0, config=TOLD), *trivial]
-    ranked = boards(records)
-    (row,) = [each for each in rows_of(paper_markdown(ranked), "xfreq-gs") if "theirs" in each]
+    text, drawn = page_of(*records)
+    (row,) = [each for each in rows_of(text, "xfreq-gs") if "theirs" in each]
     quantiles = pooled_quantiles([record for record in records if record.job.method == "xfreq-gs"], "ssim")
     assert (row["theirs"], row["published SSIM"], float(row["SSIM"])) == (
         "XFreq-GS",
         "0.97",
         pytest.approx(quantiles[90], abs=5e-5),
     )
-    ((link, draw),) = paper_figures(ranked).items()
-    assert f"]({link})" in paper_markdown(ranked)
+    ((link, draw),) = drawn.items()
+    assert f"]({link})" in text
     for name in ("first.svg", "second.svg"):
         draw(tmp_path / name)
     drawing = (tmp_path / "first.svg").read_text("utf-8")
@@ -90,15 +98,15 @@ def test_the_level_of_ninety_per_cent_stands_beside_the_papers_and_the_figure_is
 
 def test_methods_of_the_paper_that_share_no_split_have_no_distributions() -> None:
     apart = [make_record("xfreq-gs", 0.7, SPLITS[0], config=TOLD), make_record("wrf-gs-plus", 0.6, SPLITS[1])]
-    ranked = boards(apart)
-    assert paper_figures(ranked) == {}
-    assert not [row for row in rows_of(paper_markdown(ranked), "xfreq-gs") if "theirs" in row]
+    text, drawn = page_of(*apart)
+    assert drawn == {}
+    assert not [row for row in rows_of(text, "xfreq-gs") if "theirs" in row]
 
 
 def test_only_reports_with_methods_of_the_paper_have_the_page(tmp_path: Path) -> None:
     for name, records in (("ours", make_records()), ("theirs", [*make_records(), *fitted("xfreq-gs", 0.0)])):
         folder = store(tmp_path / name, *records)
-        written = write_report(folder, folder / "B.md", folder / "all").paths
+        written = write_report(folder, folder / "B.md", folder / "all")
         pages = [path.name for path in written if path.suffix == ".md"]
         assert ("paper.md" in pages) == (name == "theirs")
         assert ("all/paper.md" in (folder / "B.md").read_text("utf-8")) == (name == "theirs")
@@ -114,6 +122,6 @@ def test_every_method_that_is_named_after_a_system_says_whose_it_is() -> None:
 
 
 def test_an_external_row_has_no_published_counterpart() -> None:
-    (counterpart,) = [each for each in published_content()["counterpart"] if each["name"] == "GSRF"]
-    rows = boards([external(method="gsrf"), make_record("gsrf")])[0].rows
-    assert {row.is_external: stands_for(counterpart, row) for row in rows} == {True: False, False: True}
+    records = (external(method="gsrf"),)
+    assert paper_page(RankedResults((), records, boards(records), [], 0)) is None
+    assert page_of(*records, make_record("gsrf"))

@@ -1,12 +1,18 @@
+"""The tables of boards: columns, rankings, files of CSV, and what Python shows of them."""
+
 from __future__ import annotations
 
 import csv
 import re
+import sys
+from html import unescape
 from itertools import combinations
+from math import inf, nan
 from pathlib import Path
 
 import pytest
 
+import xfreqbench as xb
 from tests.support.leaderboard_records import (
     leaderboard_markdown,
     make_bench,
@@ -15,15 +21,17 @@ from tests.support.leaderboard_records import (
     rows_of,
     with_job,
 )
-from tests.support.stored_records import SPLITS, make_record, make_summary, store
-from xfreqbench.errors import DataError
+from tests.support.stored_records import SPLITS, external, make_record, make_summary, store
+from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.methods.contract import Budget
 from xfreqbench.report.leaderboard.boards import boards
+from xfreqbench.report.leaderboard.columns import BRIEF, COSTS, columns, metric_title
+from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.page import write_page
-from xfreqbench.report.leaderboard.report import leaderboard_summary, write_report
+from xfreqbench.report.leaderboard.report import report_text, write_report
 from xfreqbench.report.leaderboard.results import ranked_beside
-from xfreqbench.report.leaderboard.tables import csv_tables
+from xfreqbench.report.leaderboard.tables import Leaderboard, csv_tables
 
 
 def test_the_summary_goes_by_average_ssim_and_gives_skill() -> None:
@@ -99,7 +107,7 @@ def test_records_of_different_versions_are_not_ranked_together(field: str) -> No
 def test_the_summary_shows_the_whole_board_that_a_run_stands_on_and_no_other(tmp_path: Path) -> None:
     others = [make_record(dataset_sha256="c" * 64), make_record("old", protocol_version="0")]
     results = store(tmp_path, *make_records(), *others)
-    summary = leaderboard_summary(ranked_beside(results, [make_records()[-1]]))
+    summary = str(Leaderboard(ranked_beside(results, [make_records()[-1]])))
     assert rows_of(summary, "ours")[0]["skill"] == "0.500"
     assert rows_of(summary, "nearest") and not rows_of(summary, "old")
     assert summary.count("| method") == 1
@@ -158,7 +166,7 @@ def test_no_name_is_a_formula_of_a_spreadsheet(tmp_path: Path, start: str) -> No
 def test_a_long_measurement_is_cut_and_stands_whole_beside_the_page(tmp_path: Path, num_rows: int) -> None:
     store(tmp_path, make_bench(columns=("ms", "ms"), rows=[(f"{n}", "x") for n in range(num_rows)]))
     for _ in range(2):  # the second time over files of its own
-        page, *_ = write_report(tmp_path, tmp_path / "B.md").paths
+        page, *_ = write_report(tmp_path, tmp_path / "B.md")
     whole = tmp_path / "bench-generate-error-against-run-time.csv"
     assert whole.exists() == (f"]({whole.name})" in page.read_text("utf-8")) == (num_rows > 12)
     if whole.exists():
@@ -166,8 +174,120 @@ def test_a_long_measurement_is_cut_and_stands_whole_beside_the_page(tmp_path: Pa
         assert (first, last) == ("measurement,ms 1,ms 2", "Error against run time,12,x")
 
 
-def test_of_a_measurement_taken_twice_the_later_counts() -> None:
+def test_of_a_measurement_taken_twice_the_later_counts(tmp_path: Path) -> None:
     later = make_bench(rows=(("image", "0.5"),), time_utc="2026-01-02T00:00:00+00:00")
-    markdown = leaderboard_markdown([], [later, make_bench(), make_bench(title="another")])
-    assert "0.5" in markdown
-    assert markdown.count("1.5") == 1  # the other title's
+    text = report_text(store(tmp_path, later, make_bench(), make_bench(title="another")))
+    assert "0.5" in text
+    assert text.count("1.5") == 1  # the other title's
+
+
+def columns_of(records, names):
+    """Columns of the first board on all its splits by title, and its rows by label."""
+    board = boards(records)[0]
+    comparison = Comparison(board, board.splits)
+    found = columns(comparison, names)
+    assert len({column.title for column in found}) == len(found)
+    return {column.title: column for column in found}, {row.label: row for row in comparison.rows}
+
+
+def test_markdown_and_the_page_show_the_same_texts_under_the_same_titles(tmp_path: Path) -> None:
+    records = [*of_three_seeds("ours", 0.02, 10), *of_three_seeds("nearest", 0.0, 20)]
+    html = write_page(store(tmp_path, *records), tmp_path / "page.html").read_text()
+    table = html.partition('<table class="leaderboard">')[2].partition("</table>")[0]
+    titles = [unescape(text) for text in re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", table)]
+    cells = re.findall(r"<t[hd](?: scope=\"row\"| data-value)[^>]*>(.*?)</t[hd]>", table)
+    ours = dict(zip(titles, cells, strict=False))
+    written = rows_of(leaderboard_markdown(records), "ours")[0]
+    shared = [title for title in titles if title in written]
+    assert len(shared) > 8
+    for title in shared:
+        text = ours[title].replace("<small>", " ").replace("</small>", "").replace("−", "-")
+        assert text == written[title], title
+
+
+def test_scores_are_sorted_with_the_best_first_and_costs_with_the_least() -> None:
+    shown, _ = columns_of([make_record()], (*METRICS, *COSTS))
+    for name, metric in METRICS.items():
+        assert shown[metric_title(name)].is_largest_first == metric.higher_is_better
+    known = [title for title, *_ in COSTS.values() if title in shown]
+    assert len(known) == 4 and not any(shown[title].is_largest_first for title in known)
+
+
+PSNR = make_record().scores["psnr"].model_copy(update={"median": inf})
+PERFECT = make_record().model_copy(update={"scores": make_record().scores | {"psnr": PSNR}})
+RANKED = [
+    record for name, shift in (("a", 0.02), ("b", 0), ("c", 0)) for record in of_three_seeds(name, shift, ord(name))
+]
+TWO_SEEDS = [with_job(make_record("two", id=str(seed)), seed=seed) for seed in range(2)]
+
+
+@pytest.mark.parametrize(
+    ("records", "label", "title", "text", "value"),
+    [
+        *(
+            ([make_record(), external("lofo-24.25GHz")], "theirs (external)", title, "–", nan)
+            for title in ("fit s", "parameters")
+        ),
+        ([PERFECT], "nearest", "PSNR (dB)", "∞", inf),
+        (RANKED, "a", "rank", "1", 1.0001),
+        (RANKED, "b", "rank", "2–3", 2.0003),
+        ([*RANKED, make_record("one")], "one", "rank", "one seed", nan),
+        ([*RANKED, *TWO_SEEDS], "two", "rank", "2 seeds", nan),
+        ([*RANKED, make_record()], "nearest", "rank", "no samples", nan),
+    ],
+)
+def test_a_cell_has_a_text_and_what_it_is_sorted_by(
+    records: list, label: str, title: str, text: str, value: float
+) -> None:
+    shown, rows = columns_of(records, ("rank", "psnr", *COSTS))
+    assert (shown[title].text(rows[label]), shown[title].value(rows[label])) == (
+        text,
+        pytest.approx(value, nan_ok=True),
+    )
+
+
+def test_one_split_has_one_column_of_its_name_and_several_have_an_average_too() -> None:
+    alone, _ = columns_of([make_record(split=SPLITS[0])], BRIEF)
+    assert "average" not in alone and alone["2.4GHz"].is_board_order
+    several, _ = columns_of(make_records(), BRIEF)
+    assert several["average"].is_board_order and not several["2.4GHz"].is_board_order
+
+
+def test_what_no_record_tells_has_no_column() -> None:
+    shown, _ = columns_of([external()], (*BRIEF[:-1], *COSTS))
+    assert not {title for title, *_ in COSTS.values()} & shown.keys()
+
+
+def test_it_reads_a_folder_and_prints_as_the_command_does(tmp_path: Path) -> None:
+    shown = xb.leaderboard(store(tmp_path, *make_records()))
+    assert repr(shown) == str(shown) == shown._repr_markdown_() == str(Leaderboard(tuple(make_records())))
+    assert repr(xb.leaderboard(tmp_path / "records.jsonl")) == repr(shown)
+    with pytest.raises(DataError, match="does not exist"):
+        xb.leaderboard(tmp_path / "nowhere")
+
+
+def test_a_data_frame_has_the_columns_of_the_reports_as_numbers() -> None:
+    frame = Leaderboard(tuple(make_records())).to_pandas()
+    titles = {*map(metric_title, METRICS), "method", "best rank", "worst rank", "mean", "10th pct.", "skill", "± seeds"}
+    titles |= {"seeds", "fit s", "ms/map", "peak MiB", "parameters", "trained on"}
+    where = {"scene", "protocol", "maps", "data", "budget", "splits"}
+    assert titles <= set(frame.columns)
+    assert set(frame.columns) - titles - where <= {f"{title} {end}" for title in titles for end in ("low", "high")}
+    ours = frame.set_index("method").loc["ours"]
+    assert (ours["scene"], ours["splits"]) == ("office", SPLITS)
+    assert ours["SSIM"] == pytest.approx(0.95)
+    assert ours["skill"] == pytest.approx(0.5)
+    assert frame["parameters"].tolist() == [1234] * 5
+    assert frame["SSIM"].is_monotonic_decreasing
+
+
+def test_intervals_and_ranks_are_numbers_of_their_own() -> None:
+    frame = Leaderboard((*of_three_seeds("ours", 0.05, 1), *of_three_seeds("theirs", 0.0, 9))).to_pandas()
+    assert frame[["best rank", "worst rank"]].to_numpy().tolist() == [[1, 1], [2, 2]]
+    assert (frame["SSIM low"] < frame["SSIM"]).all() and (frame["SSIM"] < frame["SSIM high"]).all()
+
+
+def test_without_pandas_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(XFreqBenchError, match=r'pip install "xfreqbench\[notebooks\]"'):
+        Leaderboard(tuple(make_records())).to_pandas()

@@ -11,8 +11,7 @@ import pytest
 
 from tests.support.screened_room import ONE_LIT_TX, ONE_SHADOWED_TX, SCENE, store
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.report.view.plan import ViewPlan, plan_view
-from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB, Ray
+from xfreqbench.report.view.plan import MAX_RAYS, RAY_RANGE_DB, Ray, ViewPlan, plan_view
 from xfreqbench.scene.model import Surface
 
 DEVIATION_RAD = 1e-9  # mirror points are exact to some roundings in float64

@@ -16,8 +16,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.report.drawing.templates import Picture
 from xfreqbench.report.view.figures import ray_colour
 from xfreqbench.report.view.page import view_page
-from xfreqbench.report.view.plan import ViewPlan, plan_view
-from xfreqbench.report.view.room import RAY_RANGE_DB
+from xfreqbench.report.view.plan import RAY_RANGE_DB, ViewPlan, plan_view
 from xfreqbench.report.view.write import write_view
 
 pytestmark = needs_chromium

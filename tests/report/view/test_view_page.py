@@ -19,10 +19,10 @@ from xfreqbench.cli.data import view as view_command
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.maps.metrics import ssim
 from xfreqbench.report.drawing.templates import Picture, is_of_subject
+from xfreqbench.report.view.describe import summarize
 from xfreqbench.report.view.figures import plot_carriers
 from xfreqbench.report.view.page import view_page
 from xfreqbench.report.view.plan import ViewPlan, plan_view
-from xfreqbench.report.view.summary import similarity, summarize
 from xfreqbench.report.view.write import FILES, write_view
 from xfreqbench.scene.materials import ConstantMaterial
 
@@ -66,8 +66,8 @@ def test_the_page_names_the_command_for_another_transmitter(folder: Path, view: 
 
 
 def test_similarity_is_the_median_ssim_of_each_pair_of_carriers(dataset: PasDataset) -> None:
-    found = similarity(dataset)
-    assert found.num_tx == dataset.header.num_tx
+    found = summarize(dataset)
+    assert found.num_compared == dataset.header.num_tx
     maps = dataset.pas().reshape(-1, 3, *dataset.grid.shape)
     heard = dataset.has_path.reshape(-1, 3)
     both = heard[:, 0] & heard[:, 2]
@@ -80,8 +80,8 @@ def test_silent_samples_are_counted_and_compared_with_nothing(tmp_path: Path) ->
     silent = write_dataset(tmp_path / "silent.h5", silent=((0, 0), (1, 0), (2, 0), (3, 0), (1, 2)))
     summary = summarize(silent)
     np.testing.assert_array_equal((~summary.has_path).sum(axis=0), [4, 0, 1])
-    assert np.isnan(summary.similarity.median_ssim[0, 1:]).all()
-    assert summary.similarity.median_ssim[1, 2] < 1
+    assert np.isnan(summary.median_ssim[0, 1:]).all()
+    assert summary.median_ssim[1, 2] < 1
     written = write_view(plan_view(str(silent.path)), tmp_path / "out")  # nothing is drawn of what is nan
     assert written[0].exists()
 

@@ -25,18 +25,6 @@ from xfreqbench.system.files import atomic_path, require_own, storage_errors
 from xfreqbench.types import FloatArray, NDArray
 
 FIGURE_KINDS = ("png", "svg", "pdf")
-_VIEWS = {"plan": (0, 1), "elevation": (0, 2)}  # world axes to the right and upwards
-_MAX_LETTERS = 80  # of a text in a figure
-# warnings; whoever shows an SVG may know the letters
-_UNKNOWN_LETTERS = "Glyph|Matplotlib currently does not support"
-_MAX_PIXELS = 10**7  # of a picture that is read
-# How an SVG looks where the reader's colours are dark: paper, ink and greys change, the colours of lines stay.
-_DARK = "".join(
-    f'[style*="{part}: {light}"] {{{part}: {dark} !important}}'
-    for part in ("fill", "stroke")
-    for light, dark in (("#ffffff", "#14171b"), ("#000000", "#e6e9ed"), ("#333333", "#c6cbd1"), ("#666666", "#a3adb8"))
-)
-_NUM_COLOURS = 64  # in a small picture: more are not visible, and with 256 the file is twice as large
 
 
 @contextmanager
@@ -53,15 +41,16 @@ def plan_and_elevation(
 ) -> tuple[Figure, list[tuple[Any, list[int]]]]:
     """A figure with a plan above an elevation of a box in world axes, each with the two axes of the world it shows."""
     spans = high_m - low_m
-    heights = [float(spans[up]) for _, up in _VIEWS.values()]
+    views = {"plan": [0, 1], "elevation": [0, 2]}  # world axes to the right and upwards
+    heights = [float(spans[up]) for _, up in views.values()]
     height_in = float(np.clip(0.8 * width_in * sum(heights) / spans[0] + 2, 5, 16))
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    axes = figure.subplots(len(_VIEWS), 1, height_ratios=heights)
-    for axis, (title, (right, up)) in zip(axes, _VIEWS.items(), strict=True):
+    axes = figure.subplots(len(views), 1, height_ratios=heights)
+    for axis, (title, (right, up)) in zip(axes, views.items(), strict=True):
         axis.set(xlim=(low_m[right], high_m[right]), ylim=(low_m[up], high_m[up]), aspect="equal")
         axis.set(xlabel=f"{'xyz'[right]} (m)", ylabel=f"{'xyz'[up]} (m)")
         axis.set_title(title, fontsize="medium")
-    return figure, [(axis, list(shown)) for axis, shown in zip(axes, _VIEWS.values(), strict=True)]
+    return figure, list(zip(axes, views.values(), strict=True))
 
 
 def panels(figure: Any, number: int, columns: int, **more: Any) -> list[Any]:
@@ -111,8 +100,9 @@ def figure_kind(path: Path) -> str:
 
 def map_png(values: Float[NDArray[np.floating], "E A"], colormap: str) -> bytes:
     """The bytes of a PNG with a palette: one pixel for each value, clipped to 0 to 1, the first row at the top."""
-    levels = np.round(np.clip(values, 0, 1) * (_NUM_COLOURS - 1)).astype(np.uint8)
-    colours = mpl.colormaps[colormap](np.linspace(0, 1, _NUM_COLOURS), bytes=True)[:, :3]
+    number = 64  # of colours: more are not visible, and with 256 the file is twice as large
+    levels = np.round(np.clip(values, 0, 1) * (number - 1)).astype(np.uint8)
+    colours = mpl.colormaps[colormap](np.linspace(0, 1, number), bytes=True)[:, :3]
     picture = Image.fromarray(levels)
     picture.putpalette(colours.tobytes())
     return _png_bytes(picture)
@@ -133,7 +123,7 @@ def grey_levels(png: bytes) -> UInt8[NDArray[np.uint8], "R C"]:
     """The levels of a PNG of 8-bit grey; raises `ValueError` where the bytes are none, or too many pixels."""
     try:
         with Image.open(BytesIO(png), formats=["PNG"]) as picture:
-            if picture.mode != "L" or picture.width * picture.height > _MAX_PIXELS:
+            if picture.mode != "L" or picture.width * picture.height > 10**7:
                 raise ValueError(f"mode {picture.mode}, {picture.width} × {picture.height} pixels")
             return np.array(picture)
     except (OSError, SyntaxError, Image.DecompressionBombError) as error:
@@ -143,15 +133,15 @@ def grey_levels(png: bytes) -> UInt8[NDArray[np.uint8], "R C"]:
 def shown(text: str) -> str:
     """A text from outside as a figure shows it: one line, not too long, and in the legend whatever it begins with."""
     line = plain(text)
-    cut = line if len(line) <= _MAX_LETTERS else f"{line[: _MAX_LETTERS - 1]}…"
+    cut = line if len(line) <= 80 else f"{line[:79]}…"
     return f" {cut}" if cut.startswith("_") else cut  # Matplotlib hides labels that begin with an underscore
 
 
 @contextmanager
 def any_letters() -> Iterator[None]:
-    """A block in which letters that the font lacks are drawn as boxes, without a warning."""
+    """A block in which letters that the font lacks are drawn as boxes; whoever shows an SVG may know the letters."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", _UNKNOWN_LETTERS)
+        warnings.filterwarnings("ignore", "Glyph|Matplotlib currently does not support")
         yield
 
 
@@ -197,6 +187,13 @@ def save_figure(figure: Figure, path: Path, kind: str) -> None:
     with mpl.rc_context(fixed), any_letters(), atomic_path(path) as temporary, storage_errors(path):
         figure.savefig(temporary, format=kind, metadata=metadata, dpi=150)
         if kind == "svg":
-            dark = f"@media (prefers-color-scheme: dark) {{text {{fill: #e6e9ed}}{_DARK}}}"
+            # where the reader's colours are dark, paper, ink and greys change, and the colours of lines stay
+            greys = {"#ffffff": "#14171b", "#000000": "#e6e9ed", "#333333": "#c6cbd1", "#666666": "#a3adb8"}
+            rules = "".join(
+                f'[style*="{part}: {light}"] {{{part}: {dark} !important}}'
+                for part in ("fill", "stroke")
+                for light, dark in greys.items()
+            )
+            dark = f"@media (prefers-color-scheme: dark) {{text {{fill: #e6e9ed}}{rules}}}"
             text = temporary.read_text("utf-8").replace("</style>", f"{dark}</style>", 1)
             temporary.write_text(text, "utf-8")

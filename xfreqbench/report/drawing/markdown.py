@@ -8,15 +8,12 @@ from collections.abc import Callable, Iterable, Sequence
 from math import isnan
 
 ABSENT = "–"
-_NUMBER_LIKE = re.compile(r"[-−–+±=∞]|\d|$")  # the beginning of a cell that is aligned to the right
 _MARKUP = re.compile(
     r"[\\`*$~]"  # escapes, code, emphasis, formulas, struck text
     r"|(?<=\])\("  # the address of a link or picture
     r"|<(?=[A-Za-z/!?])|&(?=#?\w+;)"  # tags, comments, addresses, entities
     r"|(?<![^\W_])_|_(?![^\W_])"  # emphasis; not within a word
 )
-_BLOCK_START = re.compile(r"([>+=\[-]|\d+(?=[.)]))")
-_CODE = re.compile("(`[^`]+`)")
 
 Cells = Sequence[str]
 
@@ -37,7 +34,7 @@ def literal(text: str) -> str:
 
 def prose(text: str) -> str:
     """As `literal`, but what stands between backticks is code."""
-    parts = _CODE.split(plain(text))
+    parts = re.split("(`[^`]+`)", plain(text))
     return "".join(part if index % 2 else literal(part) for index, part in enumerate(parts))
 
 
@@ -49,7 +46,7 @@ def heading(text: str) -> str:
 def paragraph(text: str, inline: Callable[[str], str] = literal) -> str:
     """As `inline`, for a paragraph of its own, which is no list, quotation or heading whatever it begins with."""
     shown = inline(text).lstrip().replace("#", "\\#")
-    start = _BLOCK_START.match(shown)
+    start = re.match(r"[>+=\[-]|\d+(?=[.)])", shown)
     if not start:
         return shown
     number = start[0] if start[0].isdecimal() else ""
@@ -64,7 +61,8 @@ def table(header: Cells, rows: Iterable[Cells], inline: Callable[[str], str] = l
     lines = [[inline(cell).replace("|", "\\|") for cell in row] for row in (header, *rows)]
     columns = list(zip(*lines, strict=True))
     widths = [max(3, *map(len, column)) for column in columns]
-    right = [index > 0 and all(map(_NUMBER_LIKE.match, column[1:])) for index, column in enumerate(columns)]
+    like_number = re.compile(r"[-−–+±=∞]|\d|$")  # so begins a cell that is aligned to the right
+    right = [index > 0 and all(map(like_number.match, column[1:])) for index, column in enumerate(columns)]
     rule = ["-" * (width - 1) + ":" if is_right else "-" * width for width, is_right in zip(widths, right, strict=True)]
     text = []
     for row in (lines[0], rule, *lines[1:]):

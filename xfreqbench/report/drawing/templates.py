@@ -13,19 +13,17 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-SOFTWARE = "xfreqbench"  # the mark in our figures and models, by which they are known when they are replaced
-# Of lines and points, on white paper and on dark: each has a contrast of 3 or more to both, and any two differ by 0.16
-# or more in OKLab. The first ones differ most.
+# The mark in our figures and models, by which they are known when they are replaced.
+SOFTWARE = "xfreqbench"
+# The colours of lines and points, on white paper and on dark: each has a contrast of 3 or more to both, and any two
+# differ by 0.16 or more in OKLab. The first ones differ most.
 COLOURS = (
     *("#0096fa", "#ff5f00", "#008700", "#be00a0", "#af9100", "#9600ff", "#cd0032", "#32a596"),
     *("#8c5a19", "#1e4bff", "#ff4ba0", "#af78ff", "#146e73", "#af7d91", "#7355aa", "#f500ff"),
 )
-_MEDIA = {"png": "image/png", "svg": "image/svg+xml"}
-
-_REPORT = "xfreqbench.report"
 
 
-def render(template: str, package: str = _REPORT, **values: Any) -> str:
+def render(template: str, package: str = "xfreqbench.report", **values: Any) -> str:
     """A page as HTML from a template of a package, such as `leaderboard/page.html` of `xfreqbench.report`.
 
     A template of another package may extend and import those of `xfreqbench.report`. Equal values give equal text. A
@@ -35,9 +33,9 @@ def render(template: str, package: str = _REPORT, **values: Any) -> str:
 
 
 @cache
-def _environment(package: str = _REPORT) -> Environment:
+def _environment(package: str = "xfreqbench.report") -> Environment:
     environment = Environment(
-        loader=ChoiceLoader([PackageLoader(name, ".") for name in (package, _REPORT)]),
+        loader=ChoiceLoader([PackageLoader(name, ".") for name in (package, "xfreqbench.report")]),
         autoescape=True,
         undefined=StrictUndefined,
         keep_trailing_newline=True,
@@ -74,7 +72,7 @@ class Picture:
     @property
     def source(self) -> str:
         """The bytes as a `data:` address."""
-        media = _MEDIA[self.name.rpartition(".")[2]]
+        media = {"png": "image/png", "svg": "image/svg+xml"}[self.name.rpartition(".")[2]]
         return f"data:{media};base64,{b64encode(self.content).decode()}"
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import groupby
+from itertools import chain, count, groupby
 from math import inf, isnan, nan
+from statistics import mean, stdev
 from typing import Any
 
 import numpy as np
@@ -17,20 +19,106 @@ from xfreqbench.data.recipe import recipe_name
 from xfreqbench.data.splits import VALIDATIONS, protocols
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import quantiles, skill
-from xfreqbench.methods.trivial import NEEDED_TRIVIAL
-from xfreqbench.report.leaderboard.origins import Origin, RecordKey, origin_labels, record_key
-from xfreqbench.report.leaderboard.rows import (
-    LANE_NAMES,
-    NO_LANE,
-    BoardRow,
-    board_rows,
-    is_trivial,
-    lane_of,
-    median_ssim,
-)
-from xfreqbench.runs.records import NUM_QUANTILES, RunRecord
+from xfreqbench.methods.contract import LANES, Budget
+from xfreqbench.methods.trivial import EVERY_TRIVIAL, NEEDED_TRIVIAL
+from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord
+from xfreqbench.types import FloatArray
 
-GroupKey = tuple[str, str, str]  # scene, recipe of the data, protocol
+
+def median_ssim(record: RunRecord) -> float:
+    """The median SSIM of a record's test maps."""
+    return record.scores["ssim"].median
+
+
+@dataclass(frozen=True)
+class BoardRow:
+    """One configured method, with its records for each split: one for each seed, by increasing seed."""
+
+    label: str
+    by_split: Mapping[str, tuple[RunRecord, ...]]
+
+    @cached_property
+    def records(self) -> list[RunRecord]:
+        """The records of all splits and seeds."""
+        return list(chain.from_iterable(self.by_split.values()))
+
+    @property
+    def job(self) -> Job:
+        """The job of its first record; the jobs of a row differ only in their split and seed."""
+        return self.records[0].job
+
+    @property
+    def time_utc(self) -> str:
+        """When its first record was made: of two versions of a method, the newer has the later time."""
+        return min(record.time_utc for record in self.records)
+
+    @property
+    def budget(self) -> str:
+        """The most that a fit may take, such as `≤ 300 s`; empty without a limit and for trivial predictors."""
+        return _lane_of(self.records[0])
+
+    @cached_property
+    def timing_machines(self) -> list[str]:
+        """The machine of every fit whose budget is a time."""
+        timed = [record for record in self.records if _lane_of(record) and record.job.budget.max_seconds is not None]
+        return [machine_name(record.hardware) for record in timed]
+
+    @property
+    def short_label(self) -> str:
+        """The label without the budget, for a board whose rows have the same."""
+        if not self.budget:
+            return self.label
+        return self.label.replace(f" ({self.budget})", "").replace(f", {self.budget}", "")
+
+    @property
+    def is_trivial(self) -> bool:
+        """Whether this is a trivial predictor without options. Budget and seed do not matter, as it is not fitted."""
+        return _is_trivial(self.records[0])
+
+    @property
+    def is_external(self) -> bool:
+        """Whether the predictions were made elsewhere and only scored here."""
+        return self.records[0].external is not None
+
+    @property
+    def family(self) -> str:
+        """`trivial`, `external`, `ablation` where options other than the device are not the defaults, or `learned`."""
+        if self.is_trivial or self.is_external:
+            return "trivial" if self.is_trivial else "external"
+        changed = [option for option in self.job.overrides if not option.startswith("device=")]
+        return "ablation" if changed else "learned"
+
+    @cached_property
+    def drawn(self) -> dict[tuple[str, int], FloatArray]:
+        """What `comparison.medians_of` has drawn, by split and number of resamples."""
+        return {}
+
+    @cached_property
+    def differences(self) -> dict[tuple[tuple[str, ...], str], tuple[float, float]]:
+        """What `Comparison.paired_difference` has found, by splits and the label of the other row of the board."""
+        return {}
+
+    def average(self, splits: Sequence[str], quantity: Callable[[RunRecord], float] = median_ssim) -> float:
+        """Mean over splits of the mean over seeds; nan where one was not run, as means over other splits differ."""
+        if not self.by_split.keys() >= set(splits):
+            return nan
+        return mean(mean(map(quantity, self.by_split[split])) for split in splits)
+
+    def num_seeds(self, splits: Sequence[str]) -> tuple[int, int]:
+        """The smallest and the largest number of seeds that one of the splits was run with."""
+        numbers = [len(self.by_split.get(split, ())) for split in splits]
+        return min(numbers), max(numbers)
+
+    def seed_spread(self, splits: Sequence[str]) -> float:
+        """Standard deviation over seeds of the average median SSIM; nan with fewer than two seeds.
+
+        It takes the seeds that all the splits were run with.
+        """
+        values: dict[int, list[float]] = {}
+        for record in chain.from_iterable(self.by_split.get(split, ()) for split in splits):
+            values.setdefault(record.job.seed, []).append(median_ssim(record))
+        averages = [mean(of_seed) for of_seed in values.values() if len(of_seed) == len(splits)]
+        return stdev(averages) if len(averages) > 1 else nan
 
 
 @dataclass(frozen=True)
@@ -38,8 +126,9 @@ class Board:
     """Rows that may be ranked together: they share data, protocol, budget, and the versions of protocol and metrics.
 
     `data` is the recipe of the data set. `settings` are those of the data of the oldest record. `sources` names the
-    results that a record lies in, where those of the board lie in several. `lane` is the budget of its fits as text,
-    `NO_LANE` where none has a budget; trivial predictors, which are not fitted, stand on the board of every lane.
+    results that a record lies in, by `record_key`, where those of the board lie in several. `lane` is the budget of
+    its fits as text, empty where none has a budget; trivial predictors are not fitted, and are on the board of every
+    budget.
     """
 
     scene: str
@@ -50,21 +139,20 @@ class Board:
     settings: Mapping[str, Any]
     splits: tuple[str, ...]
     rows: tuple[BoardRow, ...]
-    sources: Mapping[RecordKey, str] = field(default_factory=dict)
+    sources: Mapping[tuple[str, Job, str], str] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
         """Scene, protocol, kind of map and budget, as a heading."""
-        parts = [self.scene, self.protocol, f"{self.pas_kind} maps", self.lane_title]
-        return " · ".join(filter(None, parts))
+        return " · ".join(filter(None, [self.scene, self.protocol, f"{self.pas_kind} maps", self.lane_title]))
 
     @property
     def lane_title(self) -> str:
-        """The budget of its fits, with the name of the lane if it has one: `quick (≤ 64,000 maps)`."""
-        name = LANE_NAMES.get(self.lane)
-        return f"{name} ({self.lane})" if name else self.lane
+        """The budget of its fits, with its name if it has one: `quick (≤ 64,000 maps)`."""
+        named = (f"{name} ({self.lane})" for name, budget in LANES.items() if budget_text(budget) == self.lane)
+        return next(named, self.lane)
 
-    @property
+    @cached_property
     def records(self) -> list[RunRecord]:
         """The records of all rows."""
         return [record for row in self.rows for record in row.records]
@@ -79,31 +167,40 @@ class Board:
         same_bytes = any(record.dataset_sha256 == dataset.sha256 for record in self.records)
         return same_bytes or self.data == dataset.recipe.id
 
-    @cached_property
-    def origins(self) -> Mapping[Origin, str]:
-        """A label for each origin of its records; empty where one machine made all of them from one file of data."""
-        return origin_labels(self.records, self.origin)
+    def origin(self, record: RunRecord) -> tuple[str, str]:
+        """Where a record comes from: machine, data and, where results lie in several, which; and the code's commit."""
+        machine = "predicted elsewhere" if record.external else machine_name(record.hardware)
+        source = self.sources.get(record_key(record))
+        place = f"{machine}, data {record.dataset_sha256[:8]}" + (f", from {source}" if source else "")
+        return place, short_commit(record.git_commit)
 
-    def origin(self, record: RunRecord) -> Origin:
-        """The machine, code, data and results that a record comes from."""
-        return Origin.of(record, self.sources)
+    @cached_property
+    def origins(self) -> dict[tuple[str, str], str]:
+        """A label for each origin, m1, m2, …, that of the oldest record first.
+
+        It is empty where one machine made all from one file of data.
+        """
+        made = {(machine_name(each.hardware), each.dataset_sha256) for each in self.records if not each.external}
+        ordered = map(self.origin, sorted(self.records, key=lambda record: (record.time_utc, record.id)))
+        return {each: f"m{number}" for number, each in enumerate(dict.fromkeys(ordered), 1)} if len(made) > 1 else {}
 
     @property
     def slug(self) -> str:
         """What the file names of its figures begin with."""
-        named = slug_of(f"{self.scene}-{self.protocol}")
         data = self.data_name.rpartition("@")[2]
         lane = re.sub("[^0-9a-z_]+", "", self.lane.replace(".", "_"))
-        return f"{named}-{data}" + (f"-{lane}" if lane else "")
+        return f"{slug_of(f'{self.scene}-{self.protocol}')}-{data}" + (f"-{lane}" if lane else "")
 
-    def best_trivial(self, split: str) -> float:
-        """The largest median SSIM of the trivial predictors on a split; nan where `trivial_rows` are none."""
-        return self._best_trivial.get(split, nan)
+    @property
+    def time_figure(self) -> str:
+        """The link from a report to the figure of error against time; empty where no fit has a learning curve."""
+        return f"figures/{self.slug}-time.svg" if any(record.curve for record in self.records) else ""
 
     @cached_property
-    def _best_trivial(self) -> dict[str, float]:
+    def best_trivial(self) -> dict[str, float]:
+        """The largest median SSIM of the trivial predictors, by splits; those without `trivial_rows` are left out."""
         trivial = {split: self.trivial_rows(split) for split in self.splits}
-        return {split: max(row.value(split, median_ssim) for row in rows) for split, rows in trivial.items() if rows}
+        return {split: max(row.average([split]) for row in rows) for split, rows in trivial.items() if rows}
 
     def trivial_rows(self, split: str) -> list[BoardRow]:
         """The rows of the trivial predictors on a split; none without one of `NEEDED_TRIVIAL`, which might be the best.
@@ -115,7 +212,7 @@ class Board:
 
     def skill(self, record: RunRecord) -> float:
         """Skill of a record: its median SSIM against that of the best trivial predictor on the same split."""
-        return skill(median_ssim(record), self.best_trivial(record.job.split))
+        return skill(median_ssim(record), self.best_trivial.get(record.job.split, nan))
 
     def split_sets(self) -> list[tuple[str, ...]]:
         """The sets of splits that rows were run on, the set that most rows cover first.
@@ -131,60 +228,204 @@ class Board:
 
     def lone_splits(self) -> list[str]:
         """Splits of rows that cover none of the sets of splits, such as ablations that were run at one carrier."""
-        summed_up = {row.label for splits in self.split_sets() for row in self.rows_on(splits)}
-        lone = {split for row in self.rows if row.label not in summed_up for split in row.by_split}
-        return [split for split in self.splits if split in lone]
+        sets = list(map(set, self.split_sets()))
+        alone = [row for row in self.rows if not any(splits <= row.by_split.keys() for splits in sets)]
+        return [split for split in self.splits if any(split in row.by_split for row in alone)]
 
     def rows_on(self, splits: Sequence[str]) -> list[BoardRow]:
         """The rows that were run on all of these splits, the best average of median SSIM first."""
         rows = [row for row in self.rows if set(splits) <= set(row.by_split)]
-        return sorted(rows, key=lambda row: (-row.average(splits, median_ssim), row.label))
+        return sorted(rows, key=lambda row: (-row.average(splits), row.label))
 
 
 def boards(
-    records: Iterable[RunRecord], sources: Mapping[RecordKey, str] | None = None, *, by_budget: bool = True
+    records: Iterable[RunRecord], sources: Mapping[tuple[str, Job, str], str] | None = None, *, by_budget: bool = True
 ) -> list[Board]:
     """One board for each data set, protocol and budget.
 
-    They stand in the order of scenes, data sets, `protocols()` and then `VALIDATIONS`, the board with most runs first.
-    Without `by_budget` rows of all budgets share a board. Data sets are told apart by their
-    recipes, and `sources` tells which results records lie in. Of a job
-    that was run twice, the later record counts; of the same job on other bytes of the same data there is another row,
-    but for trivial predictors, whose first stays. Raises `DataError` where records of a board are of different
-    versions of the protocol or of the metrics, or test other samples.
+    They are in the order of scenes, data sets, `protocols()` and then `VALIDATIONS`, the board with most runs first.
+    Without `by_budget` rows of all budgets share a board. Data sets are told apart by their recipes, and `sources`
+    names the results that records lie in. Of a job that was run twice, the later record counts; of the same job on
+    other bytes of the same data there is another row, but for trivial predictors, whose first stays. Raises
+    `DataError` where records of a board are of different versions of the protocol or of the metrics, or test other
+    samples.
     """
 
-    def key(record: RunRecord) -> GroupKey:
+    def key(record: RunRecord) -> tuple[str, str, str]:
         return record.scene, record.recipe, record.job.protocol
 
+    found = []
     ordered = sorted(records, key=lambda record: (*key(record), record.time_utc, record.id))
-    grouped = [
-        _board(of, lane, records, sources or {})
-        for of, group in groupby(ordered, key)
-        for lane, records in _by_lane(list(group), by_budget).items()
-    ]
+    for where, group in groupby(ordered, key):
+        every = list(group)
+        lanes = dict.fromkeys(_lane_of(record) for record in every if not _is_trivial(record)) if by_budget else ()
+        for lane in lanes or [""]:
+            of_lane = [each for each in every if not lanes or _is_trivial(each) or _lane_of(each) == lane]
+            found.append(_board(where, lane, of_lane, sources or {}))
     order = {protocol: place for place, protocol in enumerate((*protocols(), *VALIDATIONS))}
 
     def place(board: Board) -> tuple[object, ...]:
         protocol = order.get(board.protocol, len(order))
         return board.scene, board.data, protocol, -len(board.records), _natural(board.lane)
 
-    return sorted(grouped, key=place)
+    return sorted(found, key=place)
 
 
-def slug_of(text: str) -> str:
-    """The beginning of a text as the name of a file, with a hyphen for all that is no letter, digit or underscore."""
-    return file_stem(re.sub(r"[^\w-]+", "-", text))
+def _board(
+    where: tuple[str, str, str], lane: str, records: Sequence[RunRecord], sources: Mapping[tuple[str, Job, str], str]
+) -> Board:
+    versions = sorted({(record.protocol_version, record.metrics_version) for record in records})
+    if len(versions) > 1:
+        described = ", ".join(f"protocol {protocol} with metrics {metrics}" for protocol, metrics in versions)
+        raise DataError(
+            f"Records of {where[0]!r} and {where[2]!r} are of different versions ({described}) and cannot be "
+            "ranked together. Delete the older lines and run those jobs again."
+        )
+    splits = sorted({record.job.split for record in records}, key=_natural)
+    require_same_samples(*where[:2], records)
+
+    def place(row: BoardRow) -> tuple[float, str]:
+        average = row.average(splits)
+        return inf if isnan(average) else -average, row.label
+
+    rows = sorted(_rows(records), key=place)
+    data = records[0]  # all records of a board describe the same data set
+    is_of_several = len({sources.get(record_key(record), "") for record in records}) > 1
+    named = sources if is_of_several else {}
+    return Board(*where, lane, data.pas_kind, data.settings, tuple(splits), tuple(rows), named)
 
 
-def file_stem(text: str) -> str:
-    """The beginning of a text that is short enough for the name of a file."""
-    return text.encode()[:150].decode("utf-8", "ignore")
+def require_same_samples(scene: str, recipe: str, records: Sequence[RunRecord]) -> None:
+    """Raise `DataError` for records of two files of data that test other samples on a split of the same name."""
+    first: dict[str, RunRecord] = {}
+    for record in records:
+        known = first.setdefault(record.job.split, record)
+        if record.dataset_sha256 != known.dataset_sha256 and record.split_sha256 != known.split_sha256:
+            raise DataError(
+                f"Records {known.id} and {record.id} of {recipe_name(scene, recipe)} test other samples on the split "
+                f"{record.job.split!r} ({known.num_test} and {record.num_test}), so that they cannot be ranked "
+                "together: the data of one lack paths that those of the other have. Generate them again with the "
+                "default solver and number of rays, or leave out the results of one."
+            )
 
 
-def or_nan(value: float | None) -> float:
-    """A number of a record, nan in place of None."""
-    return nan if value is None else value
+def _rows(records: Sequence[RunRecord]) -> list[BoardRow]:
+    """One row for each label, configuration, code and file of data.
+
+    Rows with equal labels get an addition that differs: the time and the code of their first record,
+    `mine (2026-11-28 10:02, code 3fa9c1)`, for external predictions the hash of their file in place of the code. Where
+    only the data differ, they get the hash of these, and a number where they are still equal.
+    """
+    rows: dict[tuple[str, str, str | None, str], dict[tuple[str, int], RunRecord]] = {}
+    editions = _editions(records)
+    for record in records:
+        label = _label(record)
+        source = editions[label, record.external.sha256] if record.external else record.code_sha256
+        data = "" if _is_trivial(record) or record.external else record.dataset_sha256
+        found = rows.setdefault((label, json.dumps(record.config, sort_keys=True), source, data), {})
+        known = found.setdefault((record.job.split, record.job.seed), record)
+        if known.dataset_sha256 == record.dataset_sha256:
+            found[record.job.split, record.job.seed] = record
+    versions: dict[str, set[tuple[str, str]]] = {}
+    data_of: dict[tuple[str, ...], set[str]] = {}
+    for (label, config, _, data), found in rows.items():
+        version, _ = version_of(next(iter(found.values())))
+        versions.setdefault(label, set()).add((config, version))
+        data_of.setdefault((label, config, version), set()).add(data)
+    named: dict[str, BoardRow] = {}
+    for (label, config, _, data), found in rows.items():
+        first = next(iter(found.values()))
+        version, time = version_of(first)
+        kind = "file" if first.external else "code"
+        added = [time, f"{kind} {version[:6]}"] if len(versions[label]) > 1 else []
+        added += [f"data {data[:7]}"] if len(data_of[label, config, version]) > 1 else []
+        name = f"{label} ({', '.join(added)})" if added else label
+        name = next(each for each in chain([name], (f"{name} #{n}" for n in count(2))) if each not in named)
+        by_split: dict[str, tuple[RunRecord, ...]] = {}
+        for split, seed in sorted(found):
+            by_split[split] = (*by_split.get(split, ()), found[split, seed])
+        named[name] = BoardRow(name, by_split)
+    return list(named.values())
+
+
+def _editions(records: Sequence[RunRecord]) -> dict[tuple[str, str], str]:
+    """For each label and file of external predictions, the hash of the first file of its row.
+
+    Files of one method share a row, whether each holds a seed or a split, unless two hold the same split and seed.
+    """
+    files: dict[tuple[str, str], set[tuple[str, int]]] = {}
+    for record in records:
+        if record.external:
+            parts = files.setdefault((_label(record), record.external.sha256), set())
+            parts.add((record.job.split, record.job.seed))
+    editions: dict[tuple[str, str], str] = {}
+    taken: dict[tuple[str, str], set[tuple[str, int]]] = {}
+    for file, parts in files.items():
+        row = next((row for row in taken if row[0] == file[0] and not taken[row] & parts), file)
+        taken[row] = taken.get(row, set()) | parts
+        editions[file] = row[1]
+    return editions
+
+
+def _label(record: RunRecord) -> str:
+    """The method's name and, in parentheses, options and budget that are not the defaults."""
+    job = record.job
+    if _is_trivial(record):
+        return job.method
+    if record.external:
+        return f"{job.method} (external)"
+    differences = sorted(job.overrides) + ([budget_text(job.budget)] if job.budget != Budget() else [])
+    return f"{job.method} ({', '.join(differences)})" if differences else job.method
+
+
+def _lane_of(record: RunRecord) -> str:
+    """The budget as text; empty where there was none, and for trivial predictors and predictions made elsewhere."""
+    return "" if _is_trivial(record) or record.external else budget_text(record.job.budget)
+
+
+def _is_trivial(record: RunRecord) -> bool:
+    """Whether a record is of a trivial predictor without options that was run here."""
+    return record.job.method in EVERY_TRIVIAL and not record.job.overrides and record.external is None
+
+
+def budget_text(budget: Budget) -> str:
+    """The limits of a budget: `≤ 64,000 maps`."""
+    limits = {"steps": budget.max_steps, "s": budget.max_seconds, "maps": budget.max_maps}
+    return ", ".join(
+        f"≤ {limit:{',' if unit == 'maps' else 'g'}} {unit}" for unit, limit in limits.items() if limit is not None
+    )
+
+
+def version_of(record: RunRecord) -> tuple[str, str]:
+    """The hash of a method's code or of its file of external predictions, `?` if unknown, and when the record was made.
+
+    The time is in UTC to the minute: `2026-11-28 10:02`.
+    """
+    version = record.external.sha256 if record.external else record.code_sha256
+    return version or "?", record.time_utc[:16].replace("T", " ")
+
+
+def machine_name(hardware: Mapping[str, str]) -> str:
+    """A machine in one line: its processor, cores, system, threads where they are fewer, and GPUs."""
+    named = {name: f"{value} {name.removesuffix('s') if value == '1' else name}" for name, value in hardware.items()}
+    return ", ".join(named[name] if name in ("cores", "threads") else value for name, value in hardware.items())
+
+
+def short_commit(commit: str | None) -> str:
+    """The first seven digits of a commit with the mark of an edited source; `?` where the commit is unknown."""
+    digits, plus, changes = (commit or "?").partition("+")
+    return digits[:7] + plus + changes
+
+
+def record_key(record: RunRecord) -> tuple[str, Job, str]:
+    """Values that identify a record, whichever file it is stored in: no two have id, job and time in common."""
+    return record.id, record.job, record.time_utc
+
+
+def comparable(record: RunRecord) -> tuple[object, ...]:
+    """What two records have to have in common to be ranked together."""
+    versions = record.protocol_version, record.metrics_version
+    return record.scene, record.recipe, record.job.protocol, *versions
 
 
 def pooled_quantiles(records: Sequence[RunRecord], metric: str) -> list[float]:
@@ -199,54 +440,9 @@ def short_name(split: str) -> str:
     return split.removeprefix(max(starts, key=len, default=""))
 
 
-def comparable(record: RunRecord) -> tuple[object, ...]:
-    """What two records have to have in common to be ranked together."""
-    versions = record.protocol_version, record.metrics_version
-    return record.scene, record.recipe, record.job.protocol, *versions
-
-
-def _by_lane(records: Sequence[RunRecord], by_budget: bool) -> dict[str, list[RunRecord]]:
-    """The records of each budget, each time with those of the trivial predictors, which need none."""
-    if not by_budget:
-        return {NO_LANE: list(records)}
-    lanes = dict.fromkeys(lane_of(record) for record in records if not is_trivial(record)) or {NO_LANE: None}
-    return {lane: [record for record in records if is_trivial(record) or lane_of(record) == lane] for lane in lanes}
-
-
-def _board(key: GroupKey, lane: str, records: Sequence[RunRecord], sources: Mapping[RecordKey, str]) -> Board:
-    versions = sorted({(record.protocol_version, record.metrics_version) for record in records})
-    if len(versions) > 1:
-        described = ", ".join(f"protocol {protocol} with metrics {metrics}" for protocol, metrics in versions)
-        raise DataError(
-            f"Records of {key[0]!r} and {key[2]!r} are of different versions ({described}) and cannot be "
-            "ranked together. Delete the older lines and run those jobs again."
-        )
-    splits = sorted({record.job.split for record in records}, key=_natural)
-    require_same_samples(key, records)
-
-    def place(row: BoardRow) -> tuple[float, str]:
-        average = row.average(splits, median_ssim)
-        return inf if isnan(average) else -average, row.label
-
-    rows = sorted(board_rows(records), key=place)
-    data = records[0]  # all records of a board describe the same data set
-    named = {sources.get(record_key(record), "") for record in records}
-    named_sources = sources if len(named) > 1 else {}
-    return Board(*key, lane, data.pas_kind, data.settings, tuple(splits), tuple(rows), named_sources)
-
-
-def require_same_samples(key: GroupKey, records: Sequence[RunRecord]) -> None:
-    """Raise `DataError` for records of two files of data that test other samples on a split of the same name."""
-    first: dict[str, RunRecord] = {}
-    for record in records:
-        known = first.setdefault(record.job.split, record)
-        if record.dataset_sha256 != known.dataset_sha256 and record.split_sha256 != known.split_sha256:
-            raise DataError(
-                f"Records {known.id} and {record.id} of {recipe_name(*key[:2])} test other samples on the split "
-                f"{record.job.split!r} ({known.num_test} and {record.num_test}), so that they cannot be ranked "
-                "together: the data of one lack paths that those of the other have. Generate them anew with the "
-                "default solver and number of rays, or leave out the results of one."
-            )
+def slug_of(text: str) -> str:
+    """The beginning of a text as the name of a file, with a hyphen for all that is no letter, digit or underscore."""
+    return re.sub(r"[^\w-]+", "-", text).encode()[:150].decode("utf-8", "ignore")
 
 
 def _natural(name: str) -> tuple[int, list[tuple[float, str]]]:

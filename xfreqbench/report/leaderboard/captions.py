@@ -1,39 +1,20 @@
-"""The sentences around a board's tables: its data, its machines, what training and test share, and what columns say."""
+"""The sentences around a board's tables: its data, its machines, what training and test share, what columns say."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any
 
 from xfreqbench.data.splits import HELD_OUT_RECEIVER, VALIDATIONS
 from xfreqbench.maps.metrics import METRICS, NUM_RESAMPLES
 from xfreqbench.methods.trivial import EVERY_TRIVIAL, NEEDED_TRIVIAL
-from xfreqbench.report.leaderboard.boards import Board, short_name
+from xfreqbench.report.leaderboard.boards import Board, BoardRow, machine_name, record_key, short_commit, short_name
 from xfreqbench.report.leaderboard.columns import COSTS, metric_title
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
-from xfreqbench.report.leaderboard.origins import machine_name, record_key, short_commit
-from xfreqbench.report.leaderboard.published import reduced_statement
-from xfreqbench.report.leaderboard.rows import BoardRow
 from xfreqbench.runs.records import LEAST_CORE_SHARE, RunRecord
-
-_EXPLAINED_COSTS = ("seconds", "milliseconds", "memory", "parameters")
-_LEADERBOARD_TERMS = {
-    "skill": "how much better a method is than the best predictor that learns nothing: 0 is as good, 1 is perfect, "
-    f"below 0 is worse. It is 1 − (1 − SSIM) / (1 − SSIM of the best of {', '.join(EVERY_TRIVIAL)} on the same split). "
-    f"A dash: one of the first {len(NEEDED_TRIVIAL)} of these was not run. In every resample the best is found anew",
-    "[low, high]": f"95 % interval, from {NUM_RESAMPLES:,} bootstrap resamples. A resample draws transmitters with all "
-    "their samples, the same ones for every method (paired), and seeds; as seeds are few, their spread is widened by "
-    "Student's t. Of a hundred pairs of equally good methods, about five are still told apart by chance. A bound that "
-    "decides which is better, and that is not known to a tenth of its distance from zero, is taken from 16,000 "
-    "resamples, and as 0 where these do not suffice",
-    "rank": "the best and the worst place that the intervals of the differences allow, in a table that is sorted by "
-    f"averages; not corrected for the number of comparisons. Words say why there is no rank: fewer than "
-    f"{MIN_SEEDS} seeds (a trivial predictor needs one), or a budget in seconds on another machine than most",
-}
-_OTHER_TERMS = {
-    "seeds**, **± seeds": "fits of each split, over which every number is a mean, and the standard deviation of the "
-    "average over them",
-    **{COSTS[name].title: f"{COSTS[name].hint}, mean over splits and seeds" for name in _EXPLAINED_COSTS},
-}
 
 
 def leak_statement(board: Board) -> str:
@@ -75,7 +56,7 @@ def data_statement(board: Board) -> str:
     settings = board.settings
     parts = [f"{board.pas_kind} maps"]
     if "solver" in settings:
-        solvers = dict.fromkeys(str(record.settings.get("solver")) for record in board.records)
+        solvers = {str(record.settings.get("solver")) for record in board.records}
         parts.append(f"{' and '.join(sorted(solvers))} solver")
     if isinstance(settings.get("interactions"), list):
         parts.append(" and ".join(map(str, settings["interactions"])) or "no interactions")
@@ -84,10 +65,10 @@ def data_statement(board: Board) -> str:
     # backticks are ours
     name, words = (text.replace("`", "'") for text in (board.data_name, ", ".join(parts)))
     tested, left_out = (
-        " or ".join(f"{count:,}" for count in sorted(set(counts)))
-        for counts in (
-            [record.num_test for record in board.records],
-            [record.num_without_path for record in board.records if record.num_without_path],
+        " or ".join(f"{number:,}" for number in sorted(numbers))
+        for numbers in (
+            {record.num_test for record in board.records},
+            {record.num_without_path for record in board.records if record.num_without_path},
         )
     )
     without = f"; {left_out} without any path are left out" if left_out else ""
@@ -97,10 +78,12 @@ def data_statement(board: Board) -> str:
 def origin_statement(board: Board) -> str:
     """The machines on which the times were taken, the commits of the code, and the seeds."""
     machines = machine_names(board.records)
-    times = f"Times were taken on {'; '.join(machines)}. " if machines else ""
     commits = sorted({short_commit(record.git_commit) for record in board.records})
-    seeds = sorted({record.job.seed for record in board.records})
-    return f"{times}{_counted('Commit', commits)}; {_counted('seed', seeds)}."
+    seeds = sorted({str(record.job.seed) for record in board.records}, key=int)
+    counted = [
+        f"{name}{'s' * (len(all_) > 1)} {', '.join(all_)}" for name, all_ in (("Commit", commits), ("seed", seeds))
+    ]
+    return (f"Times were taken on {'; '.join(machines)}. " if machines else "") + f"{'; '.join(counted)}."
 
 
 def facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
@@ -116,6 +99,11 @@ def facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
     }
 
 
+def machine_names(records: Sequence[RunRecord]) -> list[str]:
+    """The machines on which records were made, each once, sorted; external records have none."""
+    return sorted({machine_name(record.hardware) for record in records if record.external is None})
+
+
 def notes(comparison: Comparison) -> list[str]:
     """Notes below a table of a comparison.
 
@@ -123,101 +111,125 @@ def notes(comparison: Comparison) -> list[str]:
     board has several origins; who declares the times of rows that were predicted elsewhere; what reduced
     re-implementations leave out; and which fits ran on a busy machine.
     """
-    board, rows = comparison.board, comparison.rows
-    missing = _unranked_note(comparison), _skill_note(comparison), _extrapolation_note(comparison)
-    every = (*missing, _origins_note(board, rows), _external_note(rows), reduced_statement(rows), _busy_note(rows))
-    return [note for note in every if note]
-
-
-def machine_names(records: Sequence[RunRecord]) -> list[str]:
-    """The machines on which records were made, each once, sorted; external records have none."""
-    return sorted({machine_name(record.hardware) for record in records if record.external is None})
-
-
-def _counted(name: str, values: Sequence[object]) -> str:
-    return f"{name}{'s' if len(values) > 1 else ''} {', '.join(map(str, values))}"
-
-
-def _unranked_note(comparison: Comparison) -> str:
-    """Which rows have no rank, for too few seeds or for another machine's seconds; empty where all have one."""
-    few = [
-        row.short_label
-        for row in comparison.rows
-        if not row.is_trivial and row.num_seeds(comparison.splits)[0] < MIN_SEEDS
-    ]
-    elsewhere = [row.short_label for row in comparison.rows if not comparison.is_timed_alike(row)]
+    board, rows, splits = comparison.board, comparison.rows, comparison.splits
+    few = [row.short_label for row in rows if not row.is_trivial and row.num_seeds(splits)[0] < MIN_SEEDS]
     seeds = f"Without a rank, which takes {MIN_SEEDS} seeds (--seeds 0,1,2): {', '.join(few)}." if few else ""
+    elsewhere = [row.short_label for row in rows if not comparison.is_timed_alike(row)]
     machine = (
         f"Without a rank, as most fits had their seconds on {comparison.timed_on}, and seconds of another machine "
         f"hold more or fewer steps: {', '.join(elsewhere)}."
     )
-    return " ".join(filter(None, [seeds, machine if elsewhere else ""]))
-
-
-def _skill_note(comparison: Comparison) -> str:
-    """Which trivial predictors a skill would need; empty where all were run."""
-    run = [{row.job.method for row in comparison.board.rows if split in row.by_split} for split in comparison.splits]
-    missing = [method for method in NEEDED_TRIVIAL if not all(method in methods for methods in run)]
-    return f"No skill is known, because these were not run on the same splits: {', '.join(missing)}." if missing else ""
-
-
-def _extrapolation_note(comparison: Comparison) -> str:
-    """Splits that test carriers outside of the band of the training carriers; empty where none does, or is known to."""
+    run = [{row.job.method for row in board.rows if split in row.by_split} for split in splits]
+    needed = [method for method in NEEDED_TRIVIAL if not all(method in methods for methods in run)]
+    skill = f"No skill is known, because these were not run on the same splits: {', '.join(needed)}."
     outside = dict.fromkeys(
         f"{short_name(split)} (trained on {band})"
-        for split in comparison.splits
-        for record in comparison.rows[0].by_split[split]
+        for split in splits
+        for record in rows[0].by_split[split]
         if (band := record.extrapolated_from)
     )
-    return f"Extrapolated: {', '.join(outside)}." if outside else ""
+    every = [
+        " ".join(filter(None, [seeds, machine if elsewhere else ""])),
+        skill if needed else "",
+        f"Extrapolated: {', '.join(outside)}." if outside else "",
+        _origins_note(board, rows),
+        _external_note(rows),
+        reduced_statement(rows),
+        _busy_note(rows),
+    ]
+    return [note for note in every if note]
 
 
 def _origins_note(board: Board, rows: Sequence[BoardRow]) -> str:
-    """What the labels of origins stand for, and that times do not compare; empty if there is one origin."""
+    """What the labels of origins mean, and that times do not compare; empty if there is one origin."""
     shown = {board.origin(record) for row in rows for record in row.records}
     by_place: dict[str, list[str]] = {}
-    for origin, label in board.origins.items():
-        if origin in shown:
-            by_place.setdefault(origin.place, []).append(f"{label} (commit {origin.commit})")
+    for (place, commit), label in board.origins.items():
+        if (place, commit) in shown:
+            by_place.setdefault(place, []).append(f"{label} (commit {commit})")
     places = "; ".join(f"{place}: {', '.join(labels)}" for place, labels in by_place.items())
     return f"Origins: {places}. Times compare on one machine alone." if places else ""
 
 
 def _external_note(rows: Sequence[BoardRow]) -> str:
     """Who declares the times of external rows; empty where there are no such rows."""
-    external = [row for row in rows if row.is_external]
-    if not external:
-        return ""
     declared = []
-    for row in external:
-        sources = [(record.external.hardware, record.external.url) for record in row.records if record.external]
-        texts = dict.fromkeys(text for source in sources for text in source if text)
-        declared.append(f"{row.label}: {', '.join(texts) or 'hardware not declared'}")
-    return (
+    for row in rows:
+        if row.is_external:
+            sources = [(each.external.hardware, each.external.url) for each in row.records if each.external]
+            texts = dict.fromkeys(text for source in sources for text in source if text)
+            declared.append(f"{row.label}: {', '.join(texts) or 'hardware not declared'}")
+    said = (
         "External rows were predicted elsewhere and are scored here like every other; their times and "
         f"parameters are declared by their authors, or absent (–). {'; '.join(declared)}."
     )
+    return said if declared else ""
 
 
 def _busy_note(rows: Sequence[BoardRow]) -> str:
     """Which rows have fits that got too little of a core; empty where none has."""
-    low = {
-        row.short_label: [record.core_share for record in row.records if record.core_share < LEAST_CORE_SHARE]
-        for row in rows
-    }
-    busy = [f"{label} ({min(shares):.0%})" for label, shares in low.items() if shares]
-    if not busy:
-        return ""
-    return (
+    busy = []
+    for row in rows:
+        shares = [record.core_share for record in row.records if record.core_share < LEAST_CORE_SHARE]
+        busy += [f"{row.short_label} ({min(shares):.0%})"] if shares else []
+    said = (
         f"Fitted beside busy programs, under {LEAST_CORE_SHARE:.0%} of a core, so that seconds say little: "
         f"{', '.join(busy)}."
     )
+    return said if busy else ""
+
+
+@cache
+def published() -> dict[str, Any]:
+    """Numbers that others published for other data, and which of our rows belong to which: `paper_results.toml`.
+
+    They are shown beside ours and never ranked with them.
+    """
+    return tomllib.loads((files("xfreqbench.baselines") / "paper_results.toml").read_text("utf-8"))
+
+
+def reduced_statement(rows: Sequence[BoardRow]) -> str:
+    """What reduced re-implementations among the rows leave out of the systems they are named for; empty without any."""
+    noted = {each["method"]: each for each in published()["counterpart"] if "note" in each}
+    named = dict.fromkeys(row.job.method for row in rows if not row.is_external and row.job.method in noted)
+    reduced = "; ".join(f"{method} for {noted[method]['name']}: {noted[method]['note']}" for method in named)
+    said = f"Reduced re-implementations on one renderer, not the authors' programs, stand here: {reduced}."
+    return said if named else ""
+
+
+def sources_of(rows: Sequence[BoardRow]) -> list[dict[str, Any]]:
+    """Whose papers and programs methods among the rows are named after: `name`, and addresses `paper` and `program`."""
+    methods = {row.job.method for row in rows if not row.is_external}
+    return [source for source in published()["source"] if methods & set(source["methods"])]
 
 
 def legend(is_short: bool = False) -> str:
     """The section that explains every column of a report, or those of a short leaderboard."""
-    shown = {metric_title(name): metric.description for name, metric in METRICS.items()}
-    shown["mean**, **10th pct."] = "mean SSIM of the test maps, and the SSIM that a tenth of them lies below"
-    error = metric_title("aoa_error")
-    terms = {error: shown[error]} | _LEADERBOARD_TERMS if is_short else shown | _LEADERBOARD_TERMS | _OTHER_TERMS
+    terms = {
+        metric_title(name): metric.description
+        for name, metric in METRICS.items()
+        if not is_short or name == "aoa_error"
+    }
+    if not is_short:
+        terms["mean**, **10th pct."] = "mean SSIM of the test maps, and the SSIM that a tenth of them lies below"
+    terms |= {
+        "skill": "how much better a method is than the best predictor that learns nothing: 0 is as good, 1 is perfect, "
+        "below 0 is worse. It is 1 − (1 − SSIM) / (1 − SSIM of the best of "
+        f"{', '.join(EVERY_TRIVIAL)} on the same split). A dash: one of the first {len(NEEDED_TRIVIAL)} of these was "
+        "not run. In every resample the best is found anew",
+        "[low, high]": f"95 % interval, from {NUM_RESAMPLES:,} bootstrap resamples. A resample draws transmitters with "
+        "all their samples, the same ones for every method (paired), and seeds; as seeds are few, their spread is "
+        "widened by Student's t. Of a hundred pairs of equally good methods, about five are still told apart by "
+        "chance. A bound that decides which is better, and that is not known to a tenth of its distance from zero, is "
+        "taken from 16,000 resamples, and as 0 where these do not suffice",
+        "rank": "the best and the worst place that the intervals of the differences allow, in a table that is sorted "
+        "by averages; not corrected for the number of comparisons. Words say why there is no rank: fewer than "
+        f"{MIN_SEEDS} seeds (a trivial predictor needs one), or a budget in seconds on another machine than most",
+    }
+    if not is_short:
+        terms["seeds**, **± seeds"] = (
+            "fits of each split, over which every number is a mean, and the standard deviation of the average over them"
+        )
+        costs = [COSTS[name] for name in ("seconds", "milliseconds", "memory", "parameters")]
+        terms |= {title: f"{hint}, mean over splits and seeds" for title, hint, *_ in costs}
     return "\n".join(["## What the columns say", "", *(f"* **{name}**: {words}" for name, words in terms.items())])

@@ -4,22 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from math import isinf, isnan, nan
-from typing import Literal
 
 from xfreqbench.data.recipe import recipe_name
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.markdown import ABSENT
-from xfreqbench.report.leaderboard.boards import or_nan, short_name
+from xfreqbench.report.leaderboard.boards import BoardRow, median_ssim, short_name
 from xfreqbench.report.leaderboard.comparison import UNKNOWN, Comparison, Interval
-from xfreqbench.report.leaderboard.rows import BoardRow, Quantity, median_ssim
+from xfreqbench.runs.records import RunRecord
 from xfreqbench.units import band_text
+
+# A cost of a method: its title, what it is, the format of its numbers, and its number in a record, None where unknown.
+COSTS: dict[str, tuple[str, str, str, Callable[[RunRecord], float | None]]] = {
+    "steps": ("steps", "steps of fitting", ",.0f", lambda record: record.step if record.step > 1 else None),
+    "maps": ("maps seen", "training maps that all steps have shown", ",.0f", lambda record: record.counts.get("maps")),
+    "seconds": ("fit s", "seconds of fitting", ".2f", lambda record: record.fit_seconds),
+    "milliseconds": ("ms/map", "milliseconds per predicted map", ".2f", lambda record: record.predict_ms_per_map),
+    "memory": ("peak MiB", "largest memory of the process", ".0f", lambda record: record.peak_memory_mib),
+    "parameters": ("parameters", "trained parameters", ",.0f", lambda record: record.parameters),
+    "gaussians": ("Gaussians", "Gaussians after fitting", ",.0f", lambda record: record.counts.get("gaussians")),
+}
+OTHER_METRICS = tuple(name for name in METRICS if name != "ssim")
+BRIEF = ("rank", "method", "origin", "splits", "average", "skill", "seconds")
 
 
 @dataclass(frozen=True)
-class LeaderboardColumn:
-    """One column: its title, a hint that explains it, and what stands in the cell of a row.
+class Column:
+    """One column: its title, a hint that explains it, and the cell of each row.
 
     `value` is the number that rows are sorted by, nan where it is unknown; a column of words has none and is sorted
     by its texts. A text is the number in a `form`, or `words`. `bounds` are those of the 95 % interval, nan where it
@@ -33,134 +44,102 @@ class LeaderboardColumn:
     words: Callable[[BoardRow], str] | None = None
     bounds: Callable[[BoardRow], Interval] = lambda row: UNKNOWN
     is_largest_first: bool = False  # in what order the first click sorts
-    is_board_order: bool = False  # whether rows stand sorted by this column at first
+    is_board_order: bool = False  # whether rows are sorted by this column at first
 
     def text(self, row: BoardRow) -> str:
-        """What stands in the cell of a row, without the interval."""
-        if self.words:
-            return self.words(row)
-        return _number(self.value(row) if self.value else nan, self.form)
+        """The cell of a row without the interval."""
+        return self.words(row) if self.words else self._number(self.value(row) if self.value else nan)
 
     def interval(self, row: BoardRow) -> str:
         """The 95 % interval as text, `[low, high]` or empty."""
         low, high = self.bounds(row)
-        return "" if isnan(low) else f"[{_number(low, self.form)}, {_number(high, self.form)}]"
+        return "" if isnan(low) else f"[{self._number(low)}, {self._number(high)}]"
 
     def cell(self, row: BoardRow) -> str:
         """The text, followed by the interval if that is known."""
         return f"{self.text(row)} {self.interval(row)}".strip()
 
-
-@dataclass(frozen=True)
-class Cost:
-    """One cost of a method, where a record has it, and the format of its numbers."""
-
-    title: str
-    hint: str
-    quantity: Quantity
-    form: str
+    def _number(self, value: float) -> str:
+        """A number, a dash where it is unknown, ∞ where it is infinite, as the PSNR of a perfect map is."""
+        if isnan(value) or isinf(value):
+            return ABSENT if isnan(value) else "∞" if value > 0 else "-∞"
+        return f"{value:{self.form}}"
 
 
-_METRIC_TITLES = {  # with the number of decimals
-    "ssim": ("SSIM", 4),
-    "ssim_wrapped": ("wrapped SSIM", 4),
-    "psnr": ("PSNR", 2),
-    "power_error": ("power error", 2),
-    "aoa_error": ("AoA error", 2),
-    "beam_loss": ("beam loss", 3),
-}
-COSTS = {
-    "steps": Cost("steps", "steps of fitting", lambda record: record.step if record.step > 1 else nan, ",.0f"),
-    "maps": Cost(
-        "maps seen", "training maps that all steps have shown", lambda record: record.counts.get("maps", nan), ",.0f"
-    ),
-    "seconds": Cost("fit s", "seconds of fitting", lambda record: or_nan(record.fit_seconds), ".2f"),
-    "milliseconds": Cost(
-        "ms/map", "milliseconds per predicted map", lambda record: or_nan(record.predict_ms_per_map), ".2f"
-    ),
-    "memory": Cost("peak MiB", "largest memory of the process", lambda record: or_nan(record.peak_memory_mib), ".0f"),
-    "parameters": Cost("parameters", "trained parameters", lambda record: or_nan(record.parameters), ",.0f"),
-    "gaussians": Cost(
-        "Gaussians", "Gaussians after fitting", lambda record: record.counts.get("gaussians", nan), ",.0f"
-    ),
-}
-
-_OTHER_METRICS = tuple(name for name in METRICS if name != "ssim")
-BRIEF = ("rank", "method", "origin", "splits", "average", "skill", "seconds")
-RANKING = (*BRIEF[:5], "seed spread", "skill", "aoa_error", "seeds", *COSTS)
-OVERVIEW = (*BRIEF[:-1], "aoa_error", BRIEF[-1])
-TABLE = (
-    *("best rank", "worst rank", "method", "origin", "ssim", "mean", "p10", *_OTHER_METRICS),
-    *("skill", "seed spread", "seeds", *COSTS, "trained on"),
-)
-PAIR = (*_OTHER_METRICS, *COSTS)
-OTHER_SCORES = ("method", "mean", "p10", *_OTHER_METRICS)
-PAGE = ("rank", "method", "average", "skill", "splits", "aoa_error", "seconds", "milliseconds")
-PAGE_MORE = (  # which the page shows when it is asked to
-    *("seeds", "p10", "psnr", "power_error", "beam_loss"),
-    *("memory", "parameters", "origin", "trained on"),
-)
-
-
-def leaderboard_columns(comparison: Comparison, names: Sequence[str]) -> list[LeaderboardColumn]:
-    """Columns of a comparison by name, such as those of `RANKING`, `BRIEF`, `TABLE`, `PAIR`, `PAGE` or `PAGE_MORE`.
-
-    `splits` stands for a column of each split where there are several. Columns that no record of the board has a
-    number for are left out.
-    """
-    every = _columns(comparison)
-    return [column for name in names for column in every[name]]
+def cost_of(record: RunRecord, name: str) -> float:
+    """One of `COSTS` of a record, nan where it is unknown."""
+    value = COSTS[name][-1](record)
+    return nan if value is None else value
 
 
 def metric_title(name: str) -> str:
     """Title of a metric with its unit: `AoA error (°)`."""
+    titles = {"ssim": "SSIM", "ssim_wrapped": "wrapped SSIM", "psnr": "PSNR", "aoa_error": "AoA error"}
     unit = METRICS[name].unit
-    return _METRIC_TITLES[name][0] + (f" ({unit})" if unit else "")
+    return titles.get(name, name.replace("_", " ")) + (f" ({unit})" if unit else "")
 
 
-def _columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]:
+def columns(comparison: Comparison, names: Sequence[str]) -> list[Column]:
+    """Columns of a comparison by name: those of `METRICS` and `COSTS`, and the others below.
+
+    `splits` is a column of each split where there are several. Columns that no record of the board has a number for
+    are left out.
+    """
     board, splits = comparison.board, comparison.splits
 
-    def average(quantity: Quantity) -> Callable[[BoardRow], float]:
+    def average(quantity: Callable[[RunRecord], float]) -> Callable[[BoardRow], float]:
         return lambda row: row.average(splits, quantity)
 
-    def place(end: Literal[0, 1]) -> Callable[[BoardRow], float]:
+    def place(end: int) -> Callable[[BoardRow], float]:
         return lambda row: (comparison.ranks(row) or (nan, nan))[end]
 
-    def origin_text(row: BoardRow) -> str:
-        of_row = {board.origins[board.origin(record)] for record in row.records}
-        return " ".join(label for label in board.origins.values() if label in of_row)
+    def of_ssim(title: str, hint: str, quantity: Callable[[RunRecord], float] = median_ssim) -> Column:
+        return Column(title, hint, average(quantity), ".4f", is_largest_first=True)
 
-    ssim = LeaderboardColumn(
-        _METRIC_TITLES["ssim"][0],
-        "median SSIM, mean over splits and seeds, and its 95 % interval",
-        average(median_ssim),
-        ".4f",
+    def of_split(split: str) -> Column:
+        hint = f"median SSIM of {split}, mean over the seeds"
+        return Column(short_name(split), hint, lambda row: row.average([split]), ".4f", is_largest_first=True)
+
+    def of_metric(name: str) -> Column:
+        hint = f"median, mean over splits and seeds: {METRICS[name].description}"
+        form = {"ssim_wrapped": ".4f", "beam_loss": ".3f"}.get(name, ".2f")
+        value = average(lambda record: record.scores[name].median)
+        return Column(metric_title(name), hint, value, form, is_largest_first=METRICS[name].higher_is_better)
+
+    def of_cost(name: str) -> Column:
+        title, hint, form, _ = COSTS[name]
+        return Column(title, f"{hint}, mean over splits and seeds", average(lambda each: cost_of(each, name)), form)
+
+    def origins(row: BoardRow) -> str:
+        of_row = set(map(board.origin, row.records))
+        return " ".join(label for origin, label in board.origins.items() if origin in of_row)
+
+    ssim = replace(
+        of_ssim(metric_title("ssim"), "median SSIM, mean over splits and seeds, and its 95 % interval"),
         bounds=comparison.interval,
-        is_largest_first=True,
     )
-    several = splits if len(splits) > 1 else ()
-    found = [
-        LeaderboardColumn(
+    every = {
+        "rank": Column(
             "rank",
             "places that the intervals leave open, or why there is no rank",
             lambda row: place(0)(row) + place(1)(row) / 1e4,  # by the best place, then by the worst
             words=lambda row: comparison.unranked(row) or _span(comparison.ranks(row)),
         ),
-        LeaderboardColumn("best rank", "best place that the intervals leave open", place(0), ".0f"),
-        LeaderboardColumn("worst rank", "worst place that the intervals leave open", place(1), ".0f"),
-        LeaderboardColumn("method", "with what differs from a plain run", None, words=lambda row: row.short_label),
-        LeaderboardColumn(
-            "seeds",
-            "runs of each split",
-            lambda row: float(row.num_seeds(splits)[0]),
-            words=lambda row: _span(row.num_seeds(splits)),
-            is_largest_first=True,
+        "best rank": Column("best rank", "best place that the intervals leave open", place(0), ".0f"),
+        "worst rank": Column("worst rank", "worst place that the intervals leave open", place(1), ".0f"),
+        "method": Column("method", "with what differs from a plain run", None, words=lambda row: row.short_label),
+        "origin": Column("origin", "machine, code and data, told below the table", None, words=origins),
+        "ssim": ssim,
+        "average": replace(ssim, title="average" if len(splits) > 1 else short_name(splits[0]), is_board_order=True),
+        "mean": of_ssim(
+            "mean", "mean SSIM over the test maps, splits and seeds", lambda record: record.scores["ssim"].mean
         ),
-        LeaderboardColumn(
-            "trained on", "data, carriers and transmitters", None, words=lambda row: _trained_on(row, splits)
+        "p10": of_ssim(
+            "10th pct.",
+            "SSIM that a tenth of the test maps lies below, mean over splits and seeds",
+            lambda record: record.scores["ssim"].p10,
         ),
-        LeaderboardColumn(
+        "skill": Column(
             "skill",
             "share of what the best trivial predictor leaves open that is closed, and its 95 % interval",
             average(board.skill),
@@ -168,75 +147,29 @@ def _columns(comparison: Comparison) -> dict[str, list[LeaderboardColumn]]:
             bounds=comparison.skill_interval,
             is_largest_first=True,
         ),
-        LeaderboardColumn(
-            "mean",
-            "mean SSIM over the test maps, splits and seeds",
-            average(lambda record: record.scores["ssim"].mean),
-            ".4f",
+        "seed spread": Column(
+            "± seeds", "standard deviation of the average over the seeds", lambda row: row.seed_spread(splits), ".4f"
+        ),
+        "seeds": Column(
+            "seeds",
+            "runs of each split",
+            lambda row: float(row.num_seeds(splits)[0]),
+            words=lambda row: _span(row.num_seeds(splits)),
             is_largest_first=True,
         ),
-    ]
-    origin = LeaderboardColumn("origin", "machine, code and data, told below the table", None, words=origin_text)
-    return {column.title: [column] for column in found} | {
-        "ssim": [ssim],
-        "average": [replace(ssim, title="average" if several else short_name(splits[0]), is_board_order=True)],
-        "splits": [
-            LeaderboardColumn(
-                short_name(split),
-                f"median SSIM of {split}, mean over the seeds",
-                partial(BoardRow.value, split=split, quantity=median_ssim),
-                ".4f",
-                is_largest_first=True,
-            )
-            for split in several
-        ],
-        "seed spread": [
-            LeaderboardColumn(
-                "± seeds",
-                "standard deviation of the average over the seeds",
-                lambda row: row.seed_spread(splits, median_ssim),
-                ".4f",
-            )
-        ],
-        "p10": [
-            LeaderboardColumn(
-                "10th pct.",
-                "SSIM that a tenth of the test maps lies below, mean over splits and seeds",
-                average(lambda record: record.scores["ssim"].p10),
-                ".4f",
-                is_largest_first=True,
-            )
-        ],
-        "origin": [origin] if board.origins else [],
-        **{name: [_metric_column(name, average)] for name in _OTHER_METRICS},
-        **{
-            name: [
-                LeaderboardColumn(
-                    cost.title, f"{cost.hint}, mean over splits and seeds", average(cost.quantity), cost.form
-                )
-            ]
-            if any(not isnan(cost.quantity(record)) for record in board.records)
-            else []
-            for name, cost in COSTS.items()
-        },
+        "trained on": Column(
+            "trained on", "data, carriers and transmitters", None, words=lambda row: _trained_on(row, splits)
+        ),
     }
-
-
-def _metric_column(name: str, average: Callable[[Quantity], Callable[[BoardRow], float]]) -> LeaderboardColumn:
-    return LeaderboardColumn(
-        metric_title(name),
-        f"median, mean over splits and seeds: {METRICS[name].description}",
-        average(lambda record: record.scores[name].median),
-        f".{_METRIC_TITLES[name][1]}f",
-        is_largest_first=METRICS[name].higher_is_better,
-    )
-
-
-def _number(value: float, form: str) -> str:
-    """A number, a dash where it is unknown, ∞ where it is infinite, as the PSNR of a perfect map is."""
-    if isnan(value):
-        return ABSENT
-    return ("∞" if value > 0 else "-∞") if isinf(value) else f"{value:{form}}"
+    found: list[Column] = []
+    for name in names:
+        if name == "splits":
+            found += map(of_split, splits if len(splits) > 1 else ())
+        elif name in COSTS:
+            found += [of_cost(name)] if any(not isnan(cost_of(record, name)) for record in board.records) else []
+        elif name != "origin" or board.origins:
+            found.append(every[name] if name in every else of_metric(name))
+    return found
 
 
 def _trained_on(row: BoardRow, splits: Sequence[str]) -> str:

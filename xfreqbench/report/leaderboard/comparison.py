@@ -15,8 +15,7 @@ from jaxtyping import Float, Integer
 from scipy.special import ndtri, stdtrit
 
 from xfreqbench.maps.metrics import NUM_RESAMPLES, quantiles
-from xfreqbench.report.leaderboard.boards import Board
-from xfreqbench.report.leaderboard.rows import BoardRow
+from xfreqbench.report.leaderboard.boards import Board, BoardRow
 from xfreqbench.system.machine import one_blas_thread
 from xfreqbench.types import FloatArray, NDArray
 

@@ -10,33 +10,13 @@ from math import isnan, nan
 
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, paragraph, prose, table, with_interval
-from xfreqbench.report.leaderboard.boards import Board, short_name
+from xfreqbench.report.leaderboard.boards import Board, BoardRow, budget_text, short_name
 from xfreqbench.report.leaderboard.captions import facts, leak_statement, legend
-from xfreqbench.report.leaderboard.columns import OVERVIEW, leaderboard_columns
+from xfreqbench.report.leaderboard.columns import BRIEF, columns
 from xfreqbench.report.leaderboard.comparison import Comparison
-from xfreqbench.report.leaderboard.figures import time_link
-from xfreqbench.report.leaderboard.rows import BoardRow, budget_text, median_ssim
 from xfreqbench.report.leaderboard.tables import ranking_table
 from xfreqbench.report.leaderboard.unseen_rooms import ROOMS, rooms_overview
 from xfreqbench.runs.records import BenchRecord
-
-_BRIEFLY = {  # of a measurement: its heading, and what its columns say
-    "generate": (
-        "Generator",
-        "All without diffraction, which a row has to name. A cell of a carrier has the median PSNR and its 5th "
-        "percentile in dB, and the median SSIM; *bar* says whether that is as accurate as that page asks.",
-    ),
-    "render": (
-        "Rendering",
-        "N Gaussians, B maps a step, *pairs* of a Gaussian and a direction, milliseconds a map. *Dense* computes every "
-        "Gaussian in every direction, with which values and gradients are compared.",
-    ),
-    "stress": ("Stability", "Extreme inputs beside exact answers."),
-}
-_MOST_ROWS, _MOST_SPLITS = 3, 5
-_FEW_MAPS, _MANY_MAPS = (budget_text(LANES[name]) for name in ("quick", "converged"))
-_FLAT = 0.002  # of SSIM
-_UNSEEN, _REGIONS = "held-out-tx", "held-out-block"
 
 
 def overview_markdown(
@@ -44,17 +24,16 @@ def overview_markdown(
     benches: Sequence[BenchRecord],
     pages: Mapping[str, str],
     measurements_page: str,
-    *,
-    claims: Sequence[str] = (),
-    worse: Sequence[str] = (),
+    sections: Sequence[str] = (),
+    last_sections: Sequence[str] = (),
 ) -> str:
     """The generated part of a short report; `pages` holds the link to each page by what it is of.
 
-    `claims` and `worse` are the sections on the paper's claims and on what got worse.
+    `sections` come before those of measurements, `last_sections` behind them.
     """
     scene = main_scene(ranked)
     of_scene = [board for board in ranked if board.scene == scene]
-    compared = [first_comparison(board) for board in main_boards(ranked)]
+    compared = [_first_comparison(board) for board in main_boards(ranked)]
     every = {**pages, "measurements": measurements_page}
     links = ", ".join(f"[{heading(name)}]({link})" for name, link in every.items())
     parts = [
@@ -64,9 +43,9 @@ def overview_markdown(
         *_skill_matrix(compared),
         *rooms_overview(benches, pages.get(ROOMS, "")),
         *_time(of_scene, pages),
-        *claims,
+        *sections,
         *_measured_parts(benches, measurements_page),
-        *worse,
+        *last_sections,
         f"Every board, measurement and figure: {links}. CSV files beside these pages have every split, metric, "
         "carrier, pair of methods and learning curve.",
         legend(is_short=True),
@@ -94,7 +73,7 @@ def main_boards(ranked: Sequence[Board]) -> list[Board]:
     return [max(boards, key=num_plain_runs) for boards in by_place.values()]
 
 
-def first_comparison(board: Board) -> Comparison:
+def _first_comparison(board: Board) -> Comparison:
     """The rows of a board without ablations, on the splits that most of them share."""
     whole = replace(board, rows=tuple(row for row in board.rows if row.family != "ablation"))
     return Comparison(whole, whole.split_sets()[0])
@@ -113,7 +92,7 @@ def _fitted(comparison: Comparison) -> list[BoardRow]:
 
 def _skill(comparison: Comparison, row: BoardRow) -> str:
     """The average skill of a row with its interval; a dash where it is unknown."""
-    return leaderboard_columns(comparison, ("skill",))[0].cell(row)
+    return columns(comparison, ("skill",))[0].cell(row)
 
 
 def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board]) -> list[str]:
@@ -122,8 +101,8 @@ def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board]) -> list
     known = {each.board.protocol: each for each in compared if each.board.scene == scene and _fitted(each)}
     found = [
         *_best(known.get("lofo"), compared),
-        *_elsewhere(known.get(_UNSEEN), "At transmitters that were never heard"),
-        *_elsewhere(known.get(_REGIONS), "Where whole regions of the room were never heard"),
+        *_elsewhere(known.get("held-out-tx"), "At transmitters that were never heard"),
+        *_elsewhere(known.get("held-out-block"), "Where whole regions of the room were never heard"),
         *_papers_idea(of_scene),
         *_as_it_is(of_scene),
     ]
@@ -135,10 +114,9 @@ def _best(lofo: Comparison | None, compared: Sequence[Comparison]) -> Iterator[s
     if lofo is None:
         return
     first, *others = _fitted(lofo)
-    competing = [
-        fitted for fitted in map(_fitted, compared) if any(row.job.method == first.job.method for row in fitted)
-    ]
-    num_won = sum(fitted[0].job.method == first.job.method for fitted in competing)
+    fitted = [[row.job.method for row in _fitted(each)] for each in compared]
+    competing = [methods for methods in fitted if first.job.method in methods]
+    num_won = sum(methods[0] == first.job.method for methods in competing)
     second = f" The next, `{others[0].short_label}`, has {_skill(lofo, others[0])}." if others else ""
     yield (
         f"At a carrier that was never trained on (`lofo`, {lofo.board.scene}) `{first.short_label}` is best: its "
@@ -166,7 +144,7 @@ def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
 
     Both are said of the splits that all four rows were run on.
     """
-    compared: dict[str, tuple[Board, BoardRow, BoardRow]] = {}
+    found: dict[str, tuple[Board, BoardRow, BoardRow]] = {}
     for words, pair in (
         ("with our aids", ("xfreq-gs", "fixed-frequency-gs (aided=true)")),  # whose own settings are without a blend
         ("without them", ("xfreq-gs (aided=false)", "fixed-frequency-gs (aided=false)")),
@@ -174,11 +152,16 @@ def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
         for board in of_scene:
             rows = {row.short_label: row for row in board.rows}
             if board.protocol == "lofo" and set(pair) <= rows.keys():
-                compared.setdefault(words, (board, rows[pair[0]], rows[pair[1]]))
-    every = [row for _, *pair in compared.values() for row in pair]
-    shared = [(words, Comparison.of(board, *every), row, other) for words, (board, row, other) in compared.items()]
-    if shared and (splits := shared[0][1].splits):
-        said = [f"{_difference(comparison, row, other)} {words}" for words, comparison, row, other in shared]
+                found.setdefault(words, (board, rows[pair[0]], rows[pair[1]]))
+    every = [row for _, *pair in found.values() for row in pair]
+    said: list[str] = []
+    splits: tuple[str, ...] = ()
+    for words, (board, row, other) in found.items():
+        comparison = Comparison.of(board, *every)
+        if splits := splits or comparison.splits:
+            difference = row.average(comparison.splits) - other.average(comparison.splits)
+            said.append(f"{with_interval(difference, comparison.paired_difference(row, other), 4)} {words}")
+    if splits:
         yield (
             "The paper's own idea, attributes that follow the carrier, changes the median SSIM of a fixed-frequency "
             f"Gaussian field by {' and by '.join(said)} ({_on(splits)})."
@@ -188,12 +171,6 @@ def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
 def _on(splits: Sequence[str]) -> str:
     """The splits of `lofo` in words."""
     return f"`lofo` at {', '.join(map(short_name, splits))}"
-
-
-def _difference(comparison: Comparison, row: BoardRow, other: BoardRow) -> str:
-    """How much higher the average median SSIM of a row is than another's."""
-    value = row.average(comparison.splits, median_ssim) - other.average(comparison.splits, median_ssim)
-    return with_interval(value, comparison.paired_difference(row, other), 4)
 
 
 def _as_it_is(of_scene: Sequence[Board]) -> Iterator[str]:
@@ -217,33 +194,29 @@ def _as_it_is(of_scene: Sequence[Board]) -> Iterator[str]:
 def _reached(board: Board, row: BoardRow, splits: tuple[str, ...]) -> str:
     """The average median SSIM of a row, its budget and its number of seeds."""
     number = len({record.job.seed for record in row.records})
-    value = with_interval(row.average(splits, median_ssim), Comparison(board, splits).interval(row), 4)
+    value = with_interval(row.average(splits), Comparison(board, splits).interval(row), 4)
     return f"{value} ({board.lane}, {number} seed{'s' * (number > 1)})"
 
 
 def _main_board(compared: Sequence[Comparison], pages: Mapping[str, str], scene: str) -> list[str]:
-    """The ranking of the main scene on its first protocol."""
+    """The ranking of the main scene on its first protocol, without columns of splits where these are many."""
     comparison = next((each for each in compared if each.board.scene == scene), None)
     if comparison is None:
         return []
     board = comparison.board
     title = heading(" · ".join(filter(None, (board.scene, board.protocol, board.lane_title))))
     more = f"**{leak_statement(board)}** [The other boards]({pages[scene]})"
-    return [f"## {title}\n\n{more}\n\n{short_ranking(comparison, OVERVIEW)}"]
-
-
-def short_ranking(comparison: Comparison, columns: Sequence[str]) -> str:
-    """The ranking with columns by name, without those of the splits where these are many."""
-    shown = [name for name in columns if name != "splits" or len(comparison.splits) <= _MOST_SPLITS]
-    return ranking_table(comparison, shown)
+    every = (*BRIEF[:-1], "aoa_error", BRIEF[-1])
+    shown = [name for name in every if name != "splits" or len(comparison.splits) <= 5]
+    return [f"## {title}\n\n{more}\n\n{ranking_table(comparison, shown)}"]
 
 
 def _budget_table(lanes: Sequence[Board]) -> list[str]:
     """The methods that were run with several budgets, on the splits that all of them have; empty without any."""
     fitted = [(lane, row) for lane in lanes for row in lane.rows if not row.is_trivial and row.family != "ablation"]
-    every = first_comparison(lanes[0]).splits if lanes else ()
+    every = _first_comparison(lanes[0]).splits if lanes else ()
     splits = [split for split in every if all(split in row.by_split for _, row in fitted)]
-    known = {(row.short_label, lane.lane): row.average(splits, median_ssim) for lane, row in fitted if splits}
+    known = {(row.short_label, lane.lane): row.average(splits) for lane, row in fitted if splits}
     num_lanes = Counter(label for label, _ in known)
     rows = {place: value for place, value in known.items() if num_lanes[place[0]] > 1}
     if not rows:
@@ -254,31 +227,32 @@ def _budget_table(lanes: Sequence[Board]) -> list[str]:
         for label in sorted({label for label, _ in rows})
     ]
     caption = f"Average median SSIM on {', '.join(map(short_name, splits))} by budget"
-    if {_FEW_MAPS, _MANY_MAPS} <= {lane.lane for lane in lanes}:
+    few_maps, many_maps = (budget_text(LANES[name]) for name in ("quick", "converged"))
+    if {few_maps, many_maps} <= {lane.lane for lane in lanes}:
+        flat = 0.002  # of SSIM
         header.append("quick → converged")
         for line in body:
-            few, many = (rows.get((line[0], lane), nan) for lane in (_FEW_MAPS, _MANY_MAPS))
+            few, many = (rows.get((line[0], lane), nan) for lane in (few_maps, many_maps))
             gain = many - few  # each of the two fits let its learning rate fall to its own end
-            line.append(ABSENT if isnan(gain) else f"{gain:+.4f}" + (", flat" if gain < _FLAT else ""))
-        caption += f"; *flat*, and so converged, is a method that gains less than {_FLAT} by three times the maps"
+            line.append(ABSENT if isnan(gain) else f"{gain:+.4f}" + (", flat" if gain < flat else ""))
+        caption += f"; *flat*, and so converged, is a method that gains less than {flat} by three times the maps"
     return [f"{caption}:\n\n{table(header, body)}"]
 
 
 def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
     """The skill of each method on each board; trivial predictors are left out."""
-    best: list[dict[str, BoardRow]] = [{} for _ in compared]
-    for comparison, by_method in zip(compared, best, strict=True):
-        for row in reversed(_fitted(comparison)):  # the best comes last
-            by_method[row.job.method] = row
+    # of each method the best row, which comes last here
+    best = [{row.job.method: row for row in reversed(_fitted(comparison))} for comparison in compared]
     methods = sorted({method for by_method in best for method in by_method})
     if len(compared) < 2 or not methods:
         return []
     rows = []
-    for each, of in zip(compared, best, strict=True):
-        (column,) = leaderboard_columns(each, ("skill",))
-        cells = [column.text(of[method]) if method in of else ABSENT for method in methods]
-        rows += [[f"{each.board.scene}, {each.board.protocol}", *cells]] if of else []
     budgets = dict.fromkeys(each.board.lane_title for each, of in zip(compared, best, strict=True) if of)
+    for each, of in zip(compared, best, strict=True):
+        if of:
+            (column,) = columns(each, ("skill",))
+            cells = [column.text(of[method]) if method in of else ABSENT for method in methods]
+            rows.append([f"{each.board.scene}, {each.board.protocol}", *cells])
     budget = f", with the budget {next(iter(budgets))}" if len(budgets) == 1 and any(budgets) else ""
     dash = " A dash: these records have no such run." if any(ABSENT in row for row in rows) else ""
     caption = f"Average skill on the splits that most methods share{budget}.{dash}"
@@ -289,36 +263,48 @@ def _time(of_scene: Sequence[Board], pages: Mapping[str, str]) -> list[str]:
     """The figure of error against time of the first board that has one, and scores by budget."""
     if not of_scene:
         return []
-    first = next(filter(time_link, of_scene), of_scene[0])
+    first = next((board for board in of_scene if board.time_figure), of_scene[0])
     folder = pages[first.scene].rpartition("/")[0]
-    link = "/".join(filter(None, [folder, time_link(first)]))
+    link = "/".join(filter(None, [folder, first.time_figure]))
     words = heading(f"{first.scene} · {first.protocol}")
     lanes = [board for board in of_scene if (board.data, board.protocol) == (first.data, first.protocol)]
-    figure = [f"![SSIM against seconds of fitting, {words}]({link})"] if time_link(first) else []
+    figure = [f"![SSIM against seconds of fitting, {words}]({link})"] if first.time_figure else []
     parts = [*figure, *(_budget_table(lanes) if len(lanes) > 1 else [])]
     return ["## Error against time", *parts] if parts else []
 
 
 def _measured_parts(benches: Sequence[BenchRecord], page: str) -> list[str]:
-    """The first measurement of each kind that `_BRIEFLY` names."""
+    """The first measurement of some kinds, each with what its columns say."""
+    briefly = {
+        "generate": (
+            "Generator",
+            "All without diffraction, which a row has to name. A cell of a carrier has the median PSNR and its 5th "
+            "percentile in dB, and the median SSIM; *bar* says whether that is as accurate as that page asks.",
+        ),
+        "render": (
+            "Rendering",
+            "N Gaussians, B maps a step, *pairs* of a Gaussian and a direction, milliseconds a map. *Dense* computes "
+            "every Gaussian in every direction, with which values and gradients are compared.",
+        ),
+        "stress": ("Stability", "Extreme inputs beside exact answers."),
+    }
     first = {record.bench: record for record in reversed(benches)}
     parts = []
-    for bench, (title, words) in _BRIEFLY.items():
+    for bench, (title, words) in briefly.items():
         if bench not in first:
             continue
         record = first[bench]
         columns, rows = _by_area(record) if bench == "stress" else (record.columns, record.rows)
-        left = f"{len(rows) - _MOST_ROWS} more rows" if len(rows) > _MOST_ROWS else "More"
+        left = f"{len(rows) - 3} more rows" if len(rows) > 3 else "More"
         caption = f"{paragraph(record.title, prose)}. {words} [{left}]({page})"
-        parts.append(f"## {heading(title)}\n\n{caption}\n\n{table(columns, rows[:_MOST_ROWS], prose)}")
+        parts.append(f"## {heading(title)}\n\n{caption}\n\n{table(columns, rows[:3], prose)}")
     return parts
 
 
 def _by_area(record: BenchRecord) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
     """Cases of the stress suite by area: how many there are, and how many failed; failures first, then most cases."""
-    area, verdict = 0, len(record.columns) - 1
-    cases = Counter(row[area] for row in record.rows)
-    failed = Counter(row[area] for row in record.rows if row[verdict].startswith("FAILED"))
+    cases = Counter(row[0] for row in record.rows)
+    failed = Counter(row[0] for row in record.rows if row[-1].startswith("FAILED"))
     ordered = sorted(cases.items(), key=lambda item: (-failed[item[0]], -item[1]))
     every = [("all", str(cases.total()), str(failed.total()))]
     return ("area", "cases", "failed"), [*every, *((name, str(count), str(failed[name])) for name, count in ordered)]

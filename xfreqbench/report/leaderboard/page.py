@@ -14,27 +14,21 @@ import numpy as np
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.templates import COLOURS, render
-from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
-from xfreqbench.report.leaderboard.captions import data_statement, facts, leak_statement, notes
-from xfreqbench.report.leaderboard.columns import COSTS, PAGE, PAGE_MORE, leaderboard_columns, metric_title
+from xfreqbench.report.leaderboard.boards import Board, BoardRow, machine_name, pooled_quantiles, short_name
+from xfreqbench.report.leaderboard.captions import data_statement, facts, leak_statement, notes, sources_of
+from xfreqbench.report.leaderboard.columns import COSTS, columns, cost_of, metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
-from xfreqbench.report.leaderboard.gallery import Gallery, gallery, scales
-from xfreqbench.report.leaderboard.learning_curves import best_trivial
-from xfreqbench.report.leaderboard.origins import machine_name
+from xfreqbench.report.leaderboard.figures import best_trivial
+from xfreqbench.report.leaderboard.maps import gallery, scales
 from xfreqbench.report.leaderboard.overview import main_scene
-from xfreqbench.report.leaderboard.published import sources_of
 from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
-from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
 from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
-from xfreqbench.report.leaderboard.text import require_own_tables, write_tables
+from xfreqbench.report.leaderboard.tables import require_own_table, table_files, write_tables
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
 _TITLE = "xfreqbench results"  # a page with this title was written by us, and may be replaced
-Content = dict[str, Any]
-CHART_COSTS = ("seconds", "milliseconds", "parameters")  # against which the page draws accuracy
-_MOST_SPLITS = 5  # whose columns the page shows at first
-_PLURALS = {"trivial": "trivial predictors", "ablation": "ablations"}
+_CHART_COSTS = ("seconds", "milliseconds", "parameters")  # against which the page draws accuracy
 
 
 def write_page(results: Results, output_html: Path, since: Path | None = None) -> Path:
@@ -43,17 +37,45 @@ def write_page(results: Results, output_html: Path, since: Path | None = None) -
     Its tables are written beside it, as `write_tables` does. With earlier results `since` it says what got worse.
 
     Pictures of predicted maps are drawn from the predictions beside the records where the data set is found, and
-    else from the maps shipped beside them. Raises `DataError` where there are no runs and as `boards` does,
+    otherwise from the maps shipped beside them. Raises `DataError` where there are no runs and as `boards` does,
     `OutputExistsError` where `output_html` is another file, and `StorageError`.
     """
     found = read_results(results)
     require_page(found, output_html)
     main = main_scene(found.boards)
     boards = sorted(found.boards, key=lambda board: board.scene != main)
-    comparisons = list(map(_comparisons, boards))
-    worse = None if since is None else got_worse(read_results(since).records, found.records)
-    write_text(output_html, _page(found, boards, comparisons, worse))
-    write_tables(chain.from_iterable(comparisons), output_html.with_suffix(".csv"))
+    compared = list(map(_comparisons, boards))
+    protocols = list(dict.fromkeys(board.protocol for board in boards))
+    content = {
+        "boards": [
+            _board_content(of_board) | {"gallery": gallery(board, found.folders, found.maps)}
+            for board, of_board in zip(boards, compared, strict=True)
+        ],
+        "styles": _styles(boards),
+        "colours": COLOURS,
+        "benches": [
+            {"title": bench.title, **bench.figure.model_dump()} if bench.figure else None for bench in found.benches
+        ],
+        "scales": scales(),
+    }
+    html = render(
+        "leaderboard/page.html",
+        title=_TITLE,
+        facts=facts(boards),
+        boards=list(map(_tables, compared)),
+        links=_overview([of_board[0] for of_board in compared], protocols),
+        protocols=protocols,
+        costs={name: COSTS[name][1] for name in _CHART_COSTS},
+        sources=sources_of([row for board in boards for row in board.rows]),
+        worse=None if since is None else got_worse(read_results(since).records, found.records),
+        worse_header=WORSE_HEADER,
+        nothing_worse=NOTHING_WORSE,
+        benches=found.benches,
+        machine_name=machine_name,
+        content=_finite(content),
+    )
+    write_text(output_html, html)
+    write_tables(chain.from_iterable(compared), output_html.with_suffix(".csv"))
     return output_html
 
 
@@ -67,42 +89,8 @@ def require_page(found: RankedResults, output_html: Path) -> None:
     require_space(output_html, 1)
     mark = f"<title>{_TITLE}</title>".encode()
     require_own(output_html, lambda file: None if mark in file.read_bytes() else "is no page of results")
-    require_own_tables(output_html.with_suffix(".csv"))
-
-
-def _page(
-    found: RankedResults,
-    boards: Sequence[Board],
-    comparisons: Sequence[Sequence[Comparison]],
-    worse: Sequence[Sequence[str]] | None,
-) -> str:
-    protocols = list(dict.fromkeys(board.protocol for board in boards))
-    galleries = [gallery(board, found.folders, found.maps) for board in boards]
-    content = {
-        "boards": [board_content(*pair) for pair in zip(comparisons, galleries, strict=True)],
-        "styles": styles(boards),
-        "colours": COLOURS,
-        "benches": [
-            {"title": bench.title, **bench.figure.model_dump()} if bench.figure else None for bench in found.benches
-        ],
-        "scales": scales(),
-    }
-    return render(
-        "leaderboard/page.html",
-        title=_TITLE,
-        facts=facts(boards),
-        boards=list(map(_tables, comparisons)),
-        links=_overview([of_board[0] for of_board in comparisons], protocols),
-        protocols=protocols,
-        costs={name: COSTS[name].hint for name in CHART_COSTS},
-        sources=sources_of([row for board in boards for row in board.rows]),
-        worse=worse,
-        worse_header=WORSE_HEADER,
-        nothing_worse=NOTHING_WORSE,
-        benches=found.benches,
-        machine_name=machine_name,
-        content=_finite(content),
-    )
+    for path in table_files(output_html.with_suffix(".csv")):
+        require_own_table(path)
 
 
 def _comparisons(board: Board) -> list[Comparison]:
@@ -123,53 +111,47 @@ def _finite(content: Any) -> Any:
     return None if isinstance(content, float) and not isfinite(content) else content
 
 
-def _tables(comparisons: Sequence[Comparison]) -> Content:
-    """A board: what its data are in words, and a leaderboard for each of its sets of splits."""
-    board = comparisons[0].board
-    return {
-        "slug": board.slug,
-        "title": board.title,
-        "conditions": f"{data_statement(board)}. {leak_statement(board)}",
-        "sets": [
+def _tables(compared: Sequence[Comparison]) -> dict[str, Any]:
+    """A board: what its data are in words, and a leaderboard for each of its sets of splits.
+
+    `more` of its columns are shown when they are asked for, those of over five splits among them.
+    """
+    board = compared[0].board
+    sets = []
+    for comparison in compared:
+        is_long = len(comparison.splits) > 5
+        splits = [] if is_long else ["splits"]
+        shown = columns(
+            comparison, ("rank", "method", "average", "skill", *splits, "aoa_error", "seconds", "milliseconds")
+        )
+        more = ("seeds", "p10", "psnr", "power_error", "beam_loss", "memory", "parameters", "origin", "trained on")
+        hidden = columns(comparison, (*more, *(["splits"] if is_long else [])))
+        sets.append(
             {
                 "splits": list(map(short_name, comparison.splits)),
-                **_page_columns(comparison),
+                "columns": [*shown, *hidden],
+                "more": hidden,
                 "rows": comparison.rows,
                 "best_trivial": next((row for row in comparison.rows if row.is_trivial), None),
                 "notes": notes(comparison),
             }
-            for comparison in comparisons
-        ],
-    }
+        )
+    conditions = f"{data_statement(board)}. {leak_statement(board)}"
+    return {"slug": board.slug, "title": board.title, "conditions": conditions, "sets": sets}
 
 
-def _page_columns(comparison: Comparison) -> Content:
-    """All columns of a table, and those among them that are shown when they are asked for."""
-    names, more_names = list(PAGE), list(PAGE_MORE)
-    if len(comparison.splits) > _MOST_SPLITS:
-        names.remove("splits")
-        more_names.append("splits")
-    more = leaderboard_columns(comparison, more_names)
-    return {"columns": [*leaderboard_columns(comparison, names), *more], "more": more}
-
-
-def _overview(compared: Sequence[Comparison], protocols: Sequence[str]) -> dict[str, list[list[Content]]]:
+def _overview(compared: Sequence[Comparison], protocols: Sequence[str]) -> dict[str, list[list[dict[str, str]]]]:
     """Links to the boards, by scene and then by protocol; `compared` holds one comparison of every board."""
     num_data = Counter(scene for scene, _ in {(each.board.scene, each.board.data) for each in compared})
-    return {
-        scene: [
-            [
-                _link(comparison, num_data[scene] > 1)
-                for comparison in compared
-                if (comparison.board.scene, comparison.board.protocol) == (scene, protocol)
-            ]
-            for protocol in protocols
-        ]
-        for scene in dict.fromkeys(comparison.board.scene for comparison in compared)
-    }
+    links: dict[str, dict[str, list[dict[str, str]]]] = {}
+    for comparison in compared:
+        scene = comparison.board.scene
+        of_scene = links.setdefault(scene, {protocol: [] for protocol in protocols})
+        of_scene[comparison.board.protocol].append(_link(comparison, num_data[scene] > 1))
+    return {scene: list(of_scene.values()) for scene, of_scene in links.items()}
 
 
-def _link(comparison: Comparison, names_data: bool) -> Content:
+def _link(comparison: Comparison, names_data: bool) -> dict[str, str]:
     """A link of the overview: the board, its budget in words, and the best method there with its skill."""
     board = comparison.board
     competing = list(filter(_competes, comparison.rows))
@@ -177,26 +159,27 @@ def _link(comparison: Comparison, names_data: bool) -> Content:
         best = competing[0]
         skill = best.average(comparison.splits, board.skill)
         only = short_name(comparison.splits[0]) if len(comparison.splits) == 1 else board.protocol
-        ssim = f"{'average' if only == board.protocol else only} {best.average(comparison.splits, median_ssim):.4f}"
+        ssim = f"{'average' if only == board.protocol else only} {best.average(comparison.splits):.4f}"
         scores = ", ".join([ssim, *([f"skill {skill:.3f}".replace("-", "−")] if isfinite(skill) else [])])
         among = f"; best of {len(competing)} methods" if len(competing) > 1 else ""
         standing = f"{best.short_label}: {scores}{among}"
     else:
-        standing = f"{' and '.join(dict.fromkeys(_PLURALS[row.family] for row in comparison.rows))} alone"
+        plurals = {"trivial": "trivial predictors", "ablation": "ablations"}
+        standing = f"{' and '.join(dict.fromkeys(plurals[row.family] for row in comparison.rows))} alone"
     data = f", {board.data_name}" if names_data else ""
     return {"slug": board.slug, "text": (board.lane_title or "without budget") + data, "standing": standing}
 
 
-def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Content:
-    """A board's curves and pictures, and the averages of its rows in each comparison, one for each set of splits."""
-    board = comparisons[0].board
+def _board_content(compared: Sequence[Comparison]) -> dict[str, Any]:
+    """A board's curves, and the averages of its rows in each comparison, one for each set of splits."""
+    board = compared[0].board
+    trivial = {split: best_trivial(board, split) for split in board.splits}
     return {
         "slug": board.slug,
         "title": board.title,
         "splits": {
-            split: {"name": short_name(split), "trivial": _rounded(point.ssim) if point else nan}
-            for split in board.splits
-            for point in [best_trivial(board, split)]
+            split: {"name": short_name(split), "trivial": _rounded(point[1]) if point else nan}
+            for split, point in trivial.items()
         },
         "rows": {
             row.short_label: {
@@ -210,30 +193,28 @@ def board_content(comparisons: Sequence[Comparison], pictures: Gallery) -> Conte
                 "splits": list(comparison.splits),
                 "rows": {row.short_label: _standing(comparison, row) for row in comparison.rows},
             }
-            for comparison in comparisons
+            for comparison in compared
         ],
         "metrics": {name: metric_title(name) for name in METRICS},
-        "gallery": pictures.content(),
     }
 
 
-def styles(boards: Sequence[Board]) -> dict[str, tuple[int, int]]:
+def _styles(boards: Sequence[Board]) -> dict[str, tuple[int, int]]:
     """Places of the colour and of the dashes of each row, the same on every board.
 
     A method has one colour; its plain row is a whole line, and its variants are dashed. With more methods than
     colours, the second that has a colour is dashed too.
     """
     rows = {row.short_label: row for board in boards for row in board.rows}
-    methods = sorted({row.job.method for row in rows.values()})
     places = {}
-    for colour, method in enumerate(methods):
+    for colour, method in enumerate(sorted({row.job.method for row in rows.values()})):
         labels = sorted(label for label, row in rows.items() if row.job.method == method)
         for variant, label in enumerate(sorted(labels, key=lambda label: rows[label].family == "ablation")):
             places[label] = colour % len(COLOURS), colour // len(COLOURS) + variant
     return places
 
 
-def _curves(records: Sequence[RunRecord]) -> Content:
+def _curves(records: Sequence[RunRecord]) -> dict[str, Any]:
     """Distributions of scores, the median SSIM at each carrier in GHz, mean over seeds, and the learning curve."""
     medians = [record.scores["ssim"].median_by_carrier_hz for record in records]
     return {
@@ -246,13 +227,15 @@ def _curves(records: Sequence[RunRecord]) -> Content:
     }
 
 
-def _standing(comparison: Comparison, row: BoardRow) -> Content:
-    splits = comparison.splits
+def _standing(comparison: Comparison, row: BoardRow) -> dict[str, Any]:
+    def average(name: str) -> float:
+        return row.average(comparison.splits, lambda record: cost_of(record, name))
+
     return {
-        "ssim": _rounded(row.average(splits, median_ssim)),
+        "ssim": _rounded(row.average(comparison.splits)),
         "interval": [_rounded(bound) for bound in comparison.interval(row)],
-        "skill": _rounded(row.average(splits, comparison.board.skill)),
-        **{name: row.average(splits, COSTS[name].quantity) for name in CHART_COSTS},
+        "skill": _rounded(row.average(comparison.splits, comparison.board.skill)),
+        **{name: average(name) for name in _CHART_COSTS},
     }
 
 

@@ -6,123 +6,129 @@ The figure of maps needs predictions, or the maps that `ship_maps` stores of the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from math import isnan
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import LANES
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, prose, table, with_interval
-from xfreqbench.report.leaderboard.boards import Board, pooled_quantiles, short_name
+from xfreqbench.report.leaderboard.boards import Board, BoardRow, budget_text, pooled_quantiles, short_name
+from xfreqbench.report.leaderboard.captions import published
 from xfreqbench.report.leaderboard.columns import metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison
-from xfreqbench.report.leaderboard.figures import FIGURES_FOLDER
-from xfreqbench.report.leaderboard.gallery import dozen_of, open_data, stored_maps
+from xfreqbench.report.leaderboard.maps import open_data, require_own_maps, stored_maps
 from xfreqbench.report.leaderboard.overview import main_boards, main_scene
-from xfreqbench.report.leaderboard.published import published_content, stands_for
 from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
-from xfreqbench.report.leaderboard.rows import BoardRow, budget_text, median_ssim
-from xfreqbench.report.leaderboard.shown_maps import Levels, Position, ShownMaps, write_maps
-from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.records import RunRecord
-from xfreqbench.types import IntArray
+from xfreqbench.system.files import write_text
 
-_HOLDS, _OPEN, _FAILS = "holds", "open", "does not hold"
-_MEDIAN_SSIM = "SSIM median"
-_STATISTICS = {  # as the published tables name them: metric, statistic, decimals
-    "SSIM mean": ("ssim", "mean", 4),
-    _MEDIAN_SSIM: ("ssim", "median", 4),
-    "PSNR mean (dB)": ("psnr", "mean", 2),
-    "PSNR median (dB)": ("psnr", "median", 2),
-}
-_INTRODUCTION = (
-    "Their data, rooms and receivers are others than ours, and the sizes of their models too, so that numbers do not "
-    "compare. What can be compared are claims: which of two methods is better, and by how much."
-)
 CLAIMS_CAPTION = (
     "A claim *holds* where the whole interval of the difference of median SSIM × 1000, paired by transmitters and with "
     "three seeds of each, lies above zero, and *does not hold* where it lies below. Data, rooms and sizes are others "
     "than the paper's."
 )
+_DECIMALS = {"ssim": 4, "psnr": 2}
 _LEVEL = 90  # per cent of the maps, as in the paper
-_METRICS = {"ssim": 4, "psnr": 2}  # with decimals
-NUM_CARRIERS, NUM_TX = 5, 5
-_PAPERS = "XFreq-GS"
-_SAME_M = 1e-3  # positions are rounded
-
-Value = TypeVar("Value")
 
 
-def paper_markdown(ranked: Sequence[Board], grids: Mapping[str, MapGrid] | None = None) -> str:
-    """The paper's claims with a verdict, and published numbers beside ours, for the boards of one scene.
+def paper_page(found: RankedResults) -> tuple[str, dict[str, Callable[[Path], None]]] | None:
+    """The page of the paper's claims with a verdict, and of published numbers beside ours, for the main scene.
 
-    Claims are judged in several budgets; tables and figures are of the one with most runs. `grids` are maps by the
-    links to their figures.
+    It comes with functions that draw its figures to a path, by their links from the page. Claims are judged in several
+    budgets; tables and figures are of the one with most runs. None where the paper has numbers for no method.
     """
-    content, shown = published_content(), main_boards(ranked)
+    main = main_scene(found.boards)
+    ranked = [board for board in found.boards if board.scene == main]
+    if not any(_is_named(each, row) for each in published()["counterpart"] for board in ranked for row in board.rows):
+        return None
+    content, shown = published(), main_boards(ranked)
+    distributions, cdfs = _distributions(shown)
+    maps, grids = _maps(shown, found)
     parts = [
-        f"{content['citation']}: {content['conditions']}. {_INTRODUCTION}",
+        f"{content['citation']}: {content['conditions']}. Their data, rooms and receivers are others than ours, and "
+        "the sizes of their models too, so that numbers do not compare. What can be compared are claims: which of two "
+        "methods is better, and by how much.",
         "## Claims",
         CLAIMS_CAPTION,
         claims_table(ranked) or "None was measured.",
         "## The paper's tables",
         "Ours, and the paper's number in round brackets; a median SSIM of ours has its 95 % interval in square ones.",
         *_papers_tables(content, shown),
-        *_distributions(shown),
-        *_maps(grids or {}),
+        *distributions,
+        *maps,
     ]
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(parts) + "\n", cdfs | grids
 
 
-def has_counterparts(board: Board) -> bool:
-    """Whether the paper has numbers for a method of some row of a board."""
-    counterparts = published_content()["counterpart"]
-    return any(_is_named(counterpart, row) for counterpart in counterparts for row in board.rows)
+def _distributions(ranked: Sequence[Board]) -> tuple[list[str], dict[str, Callable[[Path], None]]]:
+    """The 90 % level of SSIM and PSNR and a figure of their distributions, for each budget on which the paper's are.
 
-
-def _distributions(ranked: Sequence[Board]) -> list[str]:
-    """The 90 % level of SSIM and PSNR and a figure of their distributions, for each budget on which the paper's are."""
-    parts = []
-    published = published_content()["table"]["cdf"]["rows"]
+    Our rows of methods whose distribution the paper shows are on the splits that all were run on, beside them the best
+    predictor that learns nothing.
+    """
+    parts: list[str] = []
+    drawn: dict[str, Callable[[Path], None]] = {}
+    theirs = published()["table"]["cdf"]["rows"]
     for board in ranked:
-        rows, splits = _shown_rows(board)
-        if splits:
-            title = heading(board.lane_title or "no budget")
-            cells = [
-                [
-                    row.short_label,
-                    *([name, *published[name]] if name in published else [ABSENT, ABSENT]),
-                    *(number(_pooled(row, splits, metric)[_LEVEL], digits) for metric, digits in _METRICS.items()),
-                ]
-                for name, row in rows.items()
-            ]
-            levels = table(("method", "theirs", "published SSIM", *map(metric_title, _METRICS)), cells, prose)
-            parts += [f"{title}:", levels, f"![Distributions of SSIM and PSNR, {title}]({_cdf_link(board)})"]
-    if not parts:
-        return []
+        rows = _published_rows(board)
+        splits = [split for split in board.splits if rows and all(split in row.by_split for row in rows.values())]
+        if not splits:
+            continue
+        rows |= {row.label: row for row in [row for row in board.rows_on(splits) if row.is_trivial][:1]}
+        panels: dict[str, dict[str, list[float]]] = {}
+        for metric in _DECIMALS:
+            of_metric = panels.setdefault(metric_title(metric), {})
+            for row in rows.values():
+                records = [record for split in splits for record in row.by_split[split]]
+                of_metric[row.short_label] = pooled_quantiles(records, metric)
+        cells = []
+        for name, row in rows.items():
+            levels = [quantiles[row.short_label][_LEVEL] for quantiles in panels.values()]
+            ours = [number(level, decimals) for level, decimals in zip(levels, _DECIMALS.values(), strict=True)]
+            cells.append([row.short_label, *([name, *theirs[name]] if name in theirs else [ABSENT, ABSENT]), *ours])
+        title, link = heading(board.lane_title or "no budget"), f"figures/paper-{board.slug}-cdf.svg"
+        parts += [
+            f"{title}:",
+            table(("method", "theirs", "published SSIM", *panels), cells, prose),
+            f"![Distributions of SSIM and PSNR, {title}]({link})",
+        ]
+        drawn[link] = partial(_draw_cdf, panels)
     caption = (
         "Of all splits and seeds together; the paper does not say of which carriers its level is. 90 % of the maps "
         "have a score at or below the level, where the figure has a dashed line."
     )
-    return ["## Distributions of SSIM and PSNR", caption, *parts]
+    return ["## Distributions of SSIM and PSNR", caption, *parts] if parts else [], drawn
 
 
-def _maps(grids: Mapping[str, MapGrid]) -> list[str]:
-    """The figures of maps; empty where there are none."""
-    parts = []
-    for link, grid in grids.items():
-        caption = (
-            f"{grid.method}, {grid.budget}: maps of {len(grid.tx_position_m)} transmitters, spread from easy to hard "
-            f"ones, at {len(grid.columns)} carriers that were left out in turn, the truth above the prediction. "
-            "Azimuth to the right, elevation upwards, powers down to 30 dB below the peak."
-        )
-        parts += [prose(caption), f"![Maps beside the truth, {heading(grid.method)}]({link})"]
-    return ["## Maps", *parts] if parts else []
+def _draw_cdf(panels: Mapping[str, Mapping[str, Sequence[float]]], path: Path) -> None:
+    from xfreqbench.report.leaderboard.plots import plot_score_cdf
+
+    plot_score_cdf(panels, _LEVEL / 100, path)
+
+
+def _published_rows(board: Board) -> dict[str, BoardRow]:
+    """Our rows, with default options, of the methods whose distribution the paper shows, by its names; best first."""
+    content = published()
+    if board.protocol != content["table"]["cdf"]["protocol"]:
+        return {}
+    found: dict[str, BoardRow] = {}
+    for row in board.rows:
+        for counterpart in content["counterpart"] if row.family == "learned" else ():
+            if counterpart["name"] in content["table"]["cdf"]["rows"] and _is_named(counterpart, row):
+                found.setdefault(counterpart["name"], row)
+    return found
+
+
+def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
+    """Whether a row has the named protocol, method and options; if no options are named, it has the defaults."""
+    if row.is_external or (row.job.protocol, row.job.method) != (named["protocol"], named["method"]):
+        return False
+    config = row.records[0].config
+    has_options = all(config.get(name) == value for name, value in named.get("config", {}).items())
+    return has_options and ("config" in named or row.family == "learned")
 
 
 def claims_table(ranked: Sequence[Board]) -> str:
@@ -137,17 +143,17 @@ def claims_table(ranked: Sequence[Board]) -> str:
         "as the paper has it, 200,000 maps": ("converged", "xfreq-gs-paper"),
     }
     rows = []
-    for claim in published_content()["claim"]:
+    for claim in published()["claim"]:
         cells = [_claim_cell(claim, ranked, budget_text(LANES[lane]), method) for lane, method in columns.values()]
-        why = claim.get("why", "") if any(words in cell for cell in cells for words in (_OPEN, _FAILS)) else ""
-        rows.append([f"{claim['claim']} ({claim['theirs']})", *cells, why])
+        is_doubted = any(words in cell for cell in cells for words in ("open", "does not hold"))
+        rows.append([f"{claim['claim']} ({claim['theirs']})", *cells, claim.get("why", "") if is_doubted else ""])
     if all(cell == ABSENT for row in rows for cell in row[1:-1]):
         return ""
     return table(("claim (published)", *columns, "why not"), rows, prose)
 
 
 def _claim_cell(claim: Mapping[str, Any], ranked: Sequence[Board], lane: str, method: str) -> str:
-    """The difference and the verdict on the first board of a budget on which both methods stand; a dash without any."""
+    """The difference and the verdict on the first board of a budget that has both methods; a dash without any."""
     named = [
         claim[end] | ({"method": method} if claim[end]["method"] == "xfreq-gs" else {}) for end in ("better", "worse")
     ]
@@ -157,122 +163,63 @@ def _claim_cell(claim: Mapping[str, Any], ranked: Sequence[Board], lane: str, me
             continue
         comparison = Comparison.of(board, better, worse)
         if splits := comparison.splits:
-            difference = better.average(splits, median_ssim) - worse.average(splits, median_ssim)
+            difference = better.average(splits) - worse.average(splits)
             low, high = comparison.difference(better, worse)
             bounds = "" if isnan(low) else f" [{1000 * low:+.1f}, {1000 * high:+.1f}]"
-            verdict = "too few seeds" if isnan(low) else _HOLDS if low > 0 else _FAILS if high < 0 else _OPEN
+            verdict = "holds" if low > 0 else "does not hold" if high < 0 else "open"
             where = f" at {short_name(splits[0])}" if len(splits) == 1 else ""
-            return f"{1000 * difference:+.1f}{bounds}{where}: {verdict}"
+            return f"{1000 * difference:+.1f}{bounds}{where}: {'too few seeds' if isnan(low) else verdict}"
     return ABSENT
-
-
-def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
-    """Whether a row has the named method and options; if no options are named, it has the defaults."""
-    return stands_for(named, row) and ("config" in named or row.family == "learned")
 
 
 def _papers_tables(content: Mapping[str, Any], ranked: Sequence[Board]) -> list[str]:
     """The paper's tables, with its rows and columns, of which we have a number."""
+    statistics = {  # as the published tables name them: metric, statistic, decimals
+        "SSIM mean": ("ssim", "mean", 4),
+        "SSIM median": ("ssim", "median", 4),
+        "PSNR mean (dB)": ("psnr", "mean", 2),
+        "PSNR median (dB)": ("psnr", "median", 2),
+    }
     ours = {
-        (name, row, statistic): (counterpart, place, statistic if column in _STATISTICS else _MEDIAN_SSIM)
+        (name, row, statistic): (counterpart, place, statistics.get(statistic, statistics["SSIM median"]))
         for counterpart in content["counterpart"]
         for place, (name, row, column) in counterpart["cells"].items()
-        for statistic in (_STATISTICS if column in _STATISTICS else (column,))
+        for statistic in (statistics if column in statistics else (column,))
     }
     boards = {board.protocol: board for board in ranked}
     parts = []
-    for name, published in content["table"].items():
-        if name == "cdf" or published["protocol"] not in boards:
+    for name, theirs in content["table"].items():
+        if name == "cdf" or theirs["protocol"] not in boards:
             continue
-        board = boards[published["protocol"]]
+        board = boards[theirs["protocol"]]
         rows = []
-        for row, theirs in published["rows"].items():
-            found = [_ours(ours.get((name, row, column)), board) for column in published["columns"]]
-            rows.append([heading(row), *(f"{cell} ({value})" for cell, value in zip(found, theirs, strict=True))])
+        for row, values in theirs["rows"].items():
+            cells = [
+                (ours.get((name, row, column)), value) for column, value in zip(theirs["columns"], values, strict=True)
+            ]
+            rows.append(
+                [heading(row), *(f"{_ours(*cell, board) if cell else ABSENT} ({value})" for cell, value in cells)]
+            )
         if any(not cell.startswith(ABSENT) for cells in rows for cell in cells[1:]):
-            header, title = (published["first_column"], *published["columns"]), heading(board.lane_title or "no budget")
-            parts.append(f"{published['title']}; ours in the budget {title}:\n\n{table(header, rows, prose)}")
+            header, title = (theirs["first_column"], *theirs["columns"]), heading(board.lane_title or "no budget")
+            parts.append(f"{theirs['title']}; ours in the budget {title}:\n\n{table(header, rows, prose)}")
     return parts
 
 
-def _ours(cell: tuple[Mapping[str, Any], str, str] | None, board: Board) -> str:
+def _ours(counterpart: Mapping[str, Any], place: str, statistic: tuple[str, str, int], board: Board) -> str:
     """Our number beside a published one, the mean over splits; a median SSIM has its interval. A dash without any.
 
     The splits are those that the paper names, or all of the row where it names none.
     """
-    counterpart, place, statistic = cell or ({}, "", "")
-    for row in board.rows if cell else ():
-        splits = tuple(row.by_split) if place == "any" else tuple(place.split())
-        if not (_is_named(counterpart, row) and set(splits) <= set(row.by_split)):
-            continue
-        metric, name, decimals = _STATISTICS[statistic]
-
-        def quantity(record: RunRecord, metric: str = metric, name: str = name) -> float:
-            return float(getattr(record.scores[metric], name))
-
-        value = row.average(splits, quantity)
-        if statistic != _MEDIAN_SSIM:
-            return number(value, decimals)
-        return with_interval(value, Comparison(board, splits).interval(row), decimals)
-    return ABSENT
-
-
-def paper_figures(ranked: Sequence[Board]) -> dict[str, Callable[[Path], None]]:
-    """Functions that draw the figures of the page to a path, by their links from the page; may raise `StorageError`."""
-    return {_cdf_link(board): partial(_draw_cdf, board) for board in main_boards(ranked) if _shown_rows(board)[1]}
-
-
-def _cdf_link(board: Board) -> str:
-    return f"{FIGURES_FOLDER}/paper-{board.slug}-cdf.svg"
-
-
-def _draw_cdf(board: Board, path: Path) -> None:
-    from xfreqbench.report.leaderboard.plots import plot_score_cdf
-
-    rows, splits = _shown_rows(board)
-    panels = {
-        metric_title(metric): {row.short_label: _pooled(row, splits, metric) for row in rows.values()}
-        for metric in _METRICS
-    }
-    plot_score_cdf(panels, _LEVEL / 100, path)
-
-
-def published_rows(board: Board) -> dict[str, BoardRow]:
-    """Our rows, with default options, of the methods whose distribution the paper shows, by its names; best first."""
-    content = published_content()
-    if board.protocol != content["table"]["cdf"]["protocol"]:
-        return {}
-    found: dict[str, BoardRow] = {}
+    metric, name, decimals = statistic
     for row in board.rows:
-        for counterpart in content["counterpart"] if row.family == "learned" else ():
-            if counterpart["name"] in content["table"]["cdf"]["rows"] and stands_for(counterpart, row):
-                found.setdefault(counterpart["name"], row)
-    return found
-
-
-def _shown_rows(board: Board) -> tuple[dict[str, BoardRow], tuple[str, ...]]:
-    """The paper's rows, beside them the best predictor that learns nothing, and the splits that all were run on."""
-    found = published_rows(board)
-    splits = tuple(split for split in board.splits if found and all(split in row.by_split for row in found.values()))
-    trivial = [row for row in board.rows_on(splits) if row.is_trivial][:1] if splits else []
-    return found | {row.label: row for row in trivial}, splits
-
-
-def _pooled(row: BoardRow, splits: Sequence[str], metric: str) -> list[float]:
-    return pooled_quantiles([record for split in splits for record in row.by_split[split]], metric)
-
-
-@dataclass(frozen=True, eq=False)
-class MapGrid:
-    """Levels of the maps of T transmitters, true and predicted, and the SSIM of the latter, for each split by its name.
-
-    `tx_position_m` are the positions of the transmitters, `method` is the label of what predicted the maps.
-    """
-
-    method: str
-    budget: str
-    tx_position_m: Sequence[Position]
-    columns: Mapping[str, tuple[Levels, Levels, Sequence[float]]]
+        splits = tuple(row.by_split) if place == "any" else tuple(place.split())
+        if _is_named(counterpart, row) and set(splits) <= set(row.by_split):
+            value = row.average(splits, lambda record: float(getattr(record.scores[metric], name)))
+            if (metric, name) != ("ssim", "median"):
+                return number(value, decimals)
+            return with_interval(value, Comparison(board, splits).interval(row), decimals)
+    return ABSENT
 
 
 def ship_maps(results: Results, path: Path) -> Path:
@@ -285,7 +232,8 @@ def ship_maps(results: Results, path: Path) -> Path:
     main, shown, known = main_scene(found.boards), [], set[str]()
     for board in found.boards:
         dataset = open_data(board) if board.scene == main else None
-        for maps in _maps_of(board, dataset, found.folders) if dataset else ():
+        papers = _published_rows(board).get("XFreq-GS")
+        for maps in stored_maps(board, dataset, found.folders, papers) if dataset else ():
             new = {key: run for key, run in maps.predicted.items() if key not in known}
             known |= new.keys()
             shown += [maps.model_copy(update={"predicted": new})] if new else []
@@ -294,63 +242,57 @@ def ship_maps(results: Results, path: Path) -> Path:
             "No predictions of a data set that is here lie beside these records. Give a results folder that "
             "`xfreqbench run` or `xfreqbench benchmark` wrote, and leave its data set where it was."
         )
-    write_maps(path, shown)
+    require_own_maps(path)
+    write_text(path, "".join(maps.sealed_json().decode() + "\n" for maps in shown))
     return path
 
 
-def paper_maps(ranked: Sequence[Board], found: RankedResults) -> dict[str, MapGrid]:
-    """The paper's maps of every board whose maps are stored or shipped, by the links to their figures."""
-    grids = {f"{FIGURES_FOLDER}/paper-{board.slug}-maps.png": _grid(board, found) for board in main_boards(ranked)}
-    return {link: grid for link, grid in grids.items() if grid}
+def _maps(ranked: Sequence[Board], found: RankedResults) -> tuple[list[str], dict[str, Callable[[Path], None]]]:
+    """The section on the maps of the paper's method, stored or shipped, with what draws its figures; or none.
+
+    There are at most five transmitters and five carriers, equally spaced in their order.
+    """
+    parts: list[str] = []
+    drawn: dict[str, Callable[[Path], None]] = {}
+    for board in ranked:
+        row = _published_rows(board).get("XFreq-GS")
+        dataset = open_data(board) if row else None
+        stored = stored_maps(board, dataset, found.folders, row) if dataset else []
+        known = found.maps | {key: maps for maps in stored for key in maps.predicted}
+        ids = {split: row.by_split[split][0].id for split in board.splits if row and split in row.by_split}
+        of_split = {split: known[key] for split, key in ids.items() if key in known}
+        if row is None or not of_split:
+            continue
+        splits = _spread(list(of_split))
+        first, *others = (of_split[split] for split in splits)
+        positions = [tx for tx in first.tx_position_m if all(tx in maps.tx_position_m for maps in others)]
+        if not positions:
+            continue
+        shown_m, columns = _spread(positions), {}
+        for split in splits:
+            maps, key = of_split[split], ids[split]
+            places = [maps.tx_position_m.index(position) for position in shown_m]
+            ssim = [maps.predicted[key].ssim[place] for place in places]
+            columns[short_name(split)] = maps.levels()[places], maps.levels(key)[places], ssim
+        caption = (
+            f"{row.short_label}, {board.lane_title or 'no budget'}: maps of {len(shown_m)} transmitters, spread from "
+            f"easy to hard ones, at {len(columns)} carriers that were left out in turn, the truth above the prediction."
+            " Azimuth to the right, elevation upwards, powers down to 30 dB below the peak."
+        )
+        link = f"figures/paper-{board.slug}-maps.png"
+        names = [f"({', '.join(f'{coordinate:.1f}' for coordinate in position)}) m" for position in shown_m]
+        parts += [prose(caption), f"![Maps beside the truth, {heading(row.short_label)}]({link})"]
+        drawn[link] = partial(_draw_maps, columns, names)
+    return ["## Maps", *parts] if parts else [], drawn
 
 
-def _maps_of(board: Board, dataset: PasDataset, folders: Sequence[ResultsFolder]) -> list[ShownMaps]:
-    """The maps of the shown split, and those of the paper's method and the same transmitters on other splits."""
-    dozen = dozen_of(board, dataset, folders)
-    papers = published_rows(board).get(_PAPERS)
-    if dozen is None or papers is None:
-        return [dozen] if dozen else []
-    distance_m = np.abs(dataset.tx_position_m[:, None] - np.asarray(dozen.tx_position_m)).max(axis=2)
-    is_shown = distance_m.min(axis=1) < _SAME_M
+def _draw_maps(columns: Mapping[str, Any], names: Sequence[str], path: Path) -> None:
+    from xfreqbench.report.leaderboard.plots import plot_map_grid
 
-    def choose(rows: IntArray) -> IntArray:
-        return rows[is_shown[rows]]
-
-    others = [
-        stored_maps(dataset, records[:1], folders, choose)
-        for split, records in papers.by_split.items()
-        if split != dozen.split
-    ]
-    return [dozen, *(other for other in others if other)]
+    plot_map_grid(columns, names, path)
 
 
-def _grid(board: Board, found: RankedResults) -> MapGrid | None:
-    row = published_rows(board).get(_PAPERS)
-    if row is None:
-        return None
-    dataset = open_data(board)
-    stored = _maps_of(board, dataset, found.folders) if dataset else []
-    known = found.maps | {key: maps for maps in stored for key in maps.predicted}
-    ids = {split: row.by_split[split][0].id for split in board.splits if split in row.by_split}
-    of_split = {split: known[key] for split, key in ids.items() if key in known}
-    if not of_split:
-        return None
-    splits = _spread(list(of_split), NUM_CARRIERS)
-    first, *others = (of_split[split] for split in splits)
-    shared = [maps.tx_position_m for maps in others]
-    shown = _spread([tx for tx in first.tx_position_m if all(tx in known for known in shared)], NUM_TX)
-    columns = {short_name(split): _column(of_split[split], ids[split], shown) for split in splits}
-    return MapGrid(row.short_label, board.lane_title or "no budget", shown, columns) if shown else None
-
-
-def _column(maps: ShownMaps, record_id: str, shown: Sequence[Position]) -> tuple[Levels, Levels, Sequence[float]]:
-    """The levels of true and of predicted maps at some transmitters, and the SSIM of the latter."""
-    places = [maps.tx_position_m.index(position) for position in shown]
-    ssim = [maps.predicted[record_id].ssim[place] for place in places]
-    return maps.true_levels()[places], maps.levels_of(record_id)[places], ssim
-
-
-def _spread(values: Sequence[Value], most: int) -> list[Value]:
+def _spread(values: Sequence[Any], most: int = 5) -> list[Any]:
     """At most `most` of the values, equally spaced in their order."""
     places = np.linspace(0, len(values) - 1, min(most, len(values))).round().astype(int)
     return [values[place] for place in places]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -14,33 +13,16 @@ from matplotlib.transforms import Bbox
 
 from xfreqbench.report.drawing.figures import any_letters, label_decades, panels, plain_style, save_figure, shown
 from xfreqbench.report.drawing.templates import COLOURS
-from xfreqbench.report.leaderboard.learning_curves import pareto_front
-from xfreqbench.report.leaderboard.shown_maps import Levels
+from xfreqbench.report.leaderboard.figures import pareto_front
+from xfreqbench.report.leaderboard.maps import Levels
 from xfreqbench.runs.records import BenchFigure, BenchPoint
 
-Curves = Mapping[str, Sequence[float]]
-
-_MAX_COLUMNS = 3
-_LINES = ("-", "--", ":", "-.")
-_MARKERS = ("o", "s", "D", "^", "v", "P", "X")
-_LABEL_GAPS_PX = (9, 16, 26, 40)
 _TRIVIAL_LABEL, _FRONT_LABEL = "best trivial predictor", "Pareto front"
-
-
-@dataclass(frozen=True)
-class TimePanel:
-    """One panel of SSIM against time: a line for each method, and the Pareto front, as pairs of seconds and SSIM.
-
-    `trivial` is the SSIM of the best trivial predictor, None where it is unknown.
-    """
-
-    lines: Mapping[str, Sequence[tuple[float, float]]]
-    front: Sequence[tuple[float, float]]
-    trivial: float | None
+_Points = Sequence[tuple[float, float]]  # of seconds and SSIM
 
 
 @plain_style()
-def plot_score_cdf(panels: Mapping[str, Curves], level: float, path: Path) -> None:
+def plot_score_cdf(panels: Mapping[str, Mapping[str, Sequence[float]]], level: float, path: Path) -> None:
     """Draw empirical CDFs as SVG: a panel for each score, in it a curve for each method.
 
     `level` is a share of maps at which a dashed line is drawn. A curve is given by equally spaced quantiles from 0
@@ -83,16 +65,27 @@ def plot_map_grid(
 
 
 @plain_style()
-def plot_error_against_time(panels: Mapping[str, TimePanel], path: Path) -> None:
-    """Draw median SSIM against seconds of fitting as SVG: a panel for each split, in it a line for each method.
+def plot_error_against_time(
+    panels: Mapping[str, tuple[Mapping[str, _Points], _Points, float | None]], path: Path
+) -> None:
+    """Draw median SSIM against seconds of fitting as SVG: a panel for each split.
 
-    Points of the Pareto front have rings, and the best trivial predictor is a dashed line. Equal panels give equal
-    bytes. Raises `StorageError`.
+    A panel has a line for each method, the Pareto front, whose points have rings, and the SSIM of the best trivial
+    predictor, a dashed line, or None where it is unknown. Equal panels give equal bytes. Raises `StorageError`.
     """
-    labels = _labels(panel.lines for panel in panels.values())
+    labels = _labels(lines for lines, *_ in panels.values())
     figure, axes = _panel_figure(len(panels), [*labels, _TRIVIAL_LABEL, _FRONT_LABEL])
-    for axis, (title, panel) in zip(axes, panels.items(), strict=True):
-        _draw_against_time(axis, panel, labels)
+    for axis, (title, (lines, front, trivial)) in zip(axes, panels.items(), strict=True):
+        for label, points in lines.items():
+            seconds, ssim = zip(*points, strict=True)
+            axis.plot(seconds, ssim, marker=".", markersize=4, label=shown(label), **_style(labels.index(label)))
+        if trivial is not None:
+            axis.axhline(trivial, color="0.4", linestyle="--", linewidth=1, label=_TRIVIAL_LABEL)
+        if front:
+            ring: dict[str, Any] = {"facecolors": "none", "edgecolors": "black", "zorder": 3, "linewidth": 0.8}
+            axis.scatter(*zip(*front, strict=True), s=42, label=_FRONT_LABEL, **ring)
+        ends = [points[-1][1] for points in lines.values()] + ([trivial] if trivial else [])
+        axis.set_ylim(bottom=max(0.0, min(ends) - 0.12))  # the first seconds of fits may lie far lower
         axis.set(xlabel="seconds of fitting", xscale="log", ylabel="median SSIM, sample of maps")
         label_decades(axis)
         axis.set_title(shown(title), fontsize="medium")
@@ -120,7 +113,7 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
         by_series[point.series].append(point)
     for index, (series, points) in enumerate(by_series.items()):
         at = [point.x for point in points], [point.y for point in points]
-        marker: dict[str, Any] = {"marker": _MARKERS[index % len(_MARKERS)], "markersize": 5}
+        marker: dict[str, Any] = {"marker": "osD^vPX"[index % 7], "markersize": 5}
         axis.plot(*at, label=shown(series), **_style(index, 1.2), **marker)
     if figure.x_is_cost:
         front = pareto_front(drawn, cost=lambda point: point.x, score=lambda point: point.y)
@@ -164,7 +157,7 @@ def _places(axis: Any, x: float, y: float, size: Bbox) -> list[tuple[float, floa
     at_x, at_y = axis.transData.transform((x, y)).tolist()
     return [
         (at_x + right * (size.width / 2 + gap), at_y + up * (size.height / 2 + gap))
-        for gap in _LABEL_GAPS_PX
+        for gap in (9, 16, 26, 40)
         for right, up in ((1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1), (-1, 0))
     ]
 
@@ -183,22 +176,9 @@ def _overlap(box: Bbox, other: Bbox) -> float:
     return common.width * common.height if common else 0.0
 
 
-def _draw_against_time(axis: Any, panel: TimePanel, labels: Sequence[str]) -> None:
-    for label, points in panel.lines.items():
-        seconds, ssim = zip(*points, strict=True)
-        axis.plot(seconds, ssim, marker=".", markersize=4, label=shown(label), **_style(labels.index(label)))
-    if panel.trivial is not None:
-        axis.axhline(panel.trivial, color="0.4", linestyle="--", linewidth=1, label=_TRIVIAL_LABEL)
-    if panel.front:
-        ring: dict[str, Any] = {"facecolors": "none", "edgecolors": "black", "zorder": 3, "linewidth": 0.8}
-        axis.scatter(*zip(*panel.front, strict=True), s=42, label=_FRONT_LABEL, **ring)
-    ends = [points[-1][1] for points in panel.lines.values()] + ([panel.trivial] if panel.trivial else [])
-    axis.set_ylim(bottom=max(0.0, min(ends) - 0.12))  # the first seconds of fits may lie far lower
-
-
 def _panel_figure(number: int, labels: Sequence[str]) -> tuple[Figure, list[Any]]:
     """A figure with that many axes in a grid, and room below them for a legend of the labels."""
-    columns = number if number <= _MAX_COLUMNS else -(-number // 2)
+    columns = number if number <= 3 else -(-number // 2)
     rows = -(-number // columns)
     width_in = max(3.6 * columns, 6.0)
     legend_rows = -(-len(labels) // _legend_columns(labels, width_in))
@@ -230,5 +210,5 @@ def _labels(panels: Iterable[Mapping[str, Any]]) -> list[str]:
 
 
 def _style(index: int, width: float = 1.4) -> dict[str, Any]:
-    style = _LINES[index // len(COLOURS) % len(_LINES)]
+    style = ("-", "--", ":", "-.")[index // len(COLOURS) % 4]
     return {"color": COLOURS[index % len(COLOURS)], "linestyle": style, "linewidth": width}

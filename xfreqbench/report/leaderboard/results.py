@@ -12,16 +12,15 @@ from pathlib import Path
 from xfreqbench.data.shipped import fetch_file, registered
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
-from xfreqbench.report.leaderboard.boards import Board, boards, comparable
-from xfreqbench.report.leaderboard.origins import RecordKey, record_key
-from xfreqbench.report.leaderboard.shown_maps import ShownMaps, read_maps
+from xfreqbench.report.leaderboard.boards import Board, boards, comparable, record_key
+from xfreqbench.report.leaderboard.maps import ShownMaps, read_maps
 from xfreqbench.report.leaderboard.unseen_rooms import is_of_rooms, room_tables
 from xfreqbench.runs.folder import RECORDS_NAME, ResultsFolder
 from xfreqbench.runs.records import BenchRecord, RunRecord
 from xfreqbench.system.files import read_bytes
 from xfreqbench.system.remote import MOST_BYTES
 
-VERSIONS, RECORDS_ENDING = "versions.txt", ".jsonl"  # a line each, beside our methods: file, sha256 and maybe address
+VERSIONS = "versions.txt"  # beside our methods, with a line for each frozen version: file, sha256 and maybe address
 
 
 @dataclass(frozen=True)
@@ -43,17 +42,20 @@ class RankedResults:
         return {key: maps for folder in self.folders for key, maps in read_maps(folder.maps_path).items()}
 
 
+Results = RankedResults | Path | Sequence[Path]
+
+
 def results_at(name: str | Path) -> Path:
     """Where results are that somebody names: by their path, their address (http, https), or as a frozen version, `v1`.
 
     A file at an address is downloaded each time, as boards grow. A frozen version is a file of records whose hash
-    stands in `versions.txt`. Raises `DataError` where nothing answers, or a frozen version is no longer what it was.
+    is in `versions.txt`. Raises `DataError` where nothing answers, or a frozen version is no longer what it was.
     """
     text = str(name)
     if text.startswith(("http://", "https://")):
         return fetch_file(text, _require_records, fresh=True, most_bytes=MOST_BYTES)
     folder = Path(str(files("xfreqbench.baselines")))
-    known = registered(folder / VERSIONS, RECORDS_ENDING)
+    known = registered(folder / VERSIONS, ".jsonl")
     if text not in known or Path(text).exists():
         return Path(text)
     file, sha256, url = known[text]
@@ -63,9 +65,6 @@ def results_at(name: str | Path) -> Path:
     if not path.exists() or hashlib.sha256(read_bytes(path)).hexdigest() != sha256:
         raise DataError(f"{path} is not the frozen version {text!r}: its sha256 is not that of {folder / VERSIONS}.")
     return path
-
-
-Results = RankedResults | Path | Sequence[Path]
 
 
 def read_results(results: Results) -> RankedResults:
@@ -83,39 +82,31 @@ def read_results(results: Results) -> RankedResults:
     folders = tuple(map(ResultsFolder.holding, paths))
     for folder in folders:
         _require_records(folder)
-    names = _names(folders)
-    records: dict[RecordKey, RunRecord] = {}
-    sources: dict[RecordKey, str] = {}
-    for folder, name in zip(folders, names, strict=True):
-        for record in folder.records:
-            records[record_key(record)] = record
-            sources.setdefault(record_key(record), name)
-    benches = latest_benches(bench for folder in folders for bench in folder.stored.benches)
+    shown = [folder.path if folder.records_path.name == RECORDS_NAME else folder.records_path for folder in folders]
+    names = [path.absolute().stem for path in shown]
+    if len({*names}) < len({*shown}):  # two are named alike: the whole paths tell them apart
+        names = [path.as_posix() for path in shown]
+    by_key = [{record_key(record): record for record in folder.records} for folder in folders]
+    records = {key: record for found in by_key for key, record in found.items()}
+    sources = {key: name for name, found in zip(names[::-1], by_key[::-1], strict=True) for key in found}
+    benches = _latest_benches(bench for folder in folders for bench in folder.stored.benches)
     benches += room_tables(records.values())
     num_truncated = sum(folder.stored.num_truncated for folder in folders)
     every = tuple(record for record in records.values() if not is_of_rooms(record))  # each once
-    ranked = boards(every, sources if len(folders) > 1 else None)
-    return RankedResults(folders, every, ranked, benches, num_truncated)
+    return RankedResults(folders, every, boards(every, sources if len(folders) > 1 else None), benches, num_truncated)
 
 
-def _names(folders: Sequence[ResultsFolder]) -> list[str]:
-    """Names of results: their folders or files, or the whole paths if two names would be equal."""
-    paths = [folder.path if folder.records_path.name == RECORDS_NAME else folder.records_path for folder in folders]
-    short = [path.absolute().stem for path in paths]
-    return short if len({*short}) == len({*paths}) else [path.as_posix() for path in paths]
-
-
-def ranked_beside(results: Path, records: Iterable[RunRecord]) -> list[RunRecord]:
+def ranked_beside(results: Path, records: Iterable[RunRecord]) -> tuple[RunRecord, ...]:
     """The records of a results folder that are ranked on the same boards as `records`, and `records` themselves.
 
-    Those of other versions of protocol or metrics, which cannot be ranked beside them, are left out.
+    Those of other versions of protocol or metrics, which cannot be ranked with them, are left out.
     """
     stored = ResultsFolder(results).stored.records
     keys = {comparable(record) for record in records}
-    return [record for record in stored if comparable(record) in keys]
+    return tuple(record for record in stored if comparable(record) in keys)
 
 
-def latest_benches(benches: Iterable[BenchRecord]) -> list[BenchRecord]:
+def _latest_benches(benches: Iterable[BenchRecord]) -> list[BenchRecord]:
     """Measurements in the order in which they were taken; of one that was taken twice, only the later."""
     ordered = sorted(benches, key=lambda record: record.time_utc)
     latest = {(record.bench, record.title): record for record in ordered}
@@ -127,7 +118,7 @@ def _require_records(results: ResultsFolder | Path) -> None:
     folder = ResultsFolder.holding(results) if isinstance(results, Path) else results
     path = folder.records_path
     if not (folder.records or folder.stored.benches):
-        raise DataError(f"{path} holds no records. Run `xfreqbench run` first, or mend the path.")
+        raise DataError(f"{path} holds no records. Run `xfreqbench run` first, or fix the path.")
     for record in folder.records:
         missing = METRICS.keys() - record.scores.keys()
         if missing:

@@ -1,54 +1,38 @@
-"""Two sets of results side by side: the same rows of both, paired by transmitters, with intervals of the difference."""
+"""Two sets of results side by side: the same rows of both, paired by transmitters, with intervals of the difference.
+
+A pair is the comparison of a board whose two rows are one of A and one of B.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isnan
 from pathlib import Path
 
 from xfreqbench.data.recipe import recipe_name
 from xfreqbench.errors import DataError
 from xfreqbench.report.drawing.markdown import ABSENT, number, paragraph, table
-from xfreqbench.report.leaderboard.boards import Board, boards, comparable, require_same_samples, short_name
+from xfreqbench.report.leaderboard.boards import (
+    Board,
+    BoardRow,
+    boards,
+    comparable,
+    record_key,
+    require_same_samples,
+    short_commit,
+    short_name,
+    version_of,
+)
 from xfreqbench.report.leaderboard.captions import leak_statement
-from xfreqbench.report.leaderboard.columns import PAIR, leaderboard_columns
+from xfreqbench.report.leaderboard.columns import COSTS, OTHER_METRICS, columns
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
-from xfreqbench.report.leaderboard.origins import record_key, short_commit
 from xfreqbench.report.leaderboard.results import read_results
-from xfreqbench.report.leaderboard.rows import VERSION_DIGITS, BoardRow, median_ssim, shown_time, version_of
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import RunRecord
 
-_SHOWN_IDS = 6
-_Boards = Mapping[tuple[object, ...], Board]  # by what records have to have in common to be compared
-
-
-@dataclass(frozen=True)
-class RowPair:
-    """A row of A and a row of B, with a comparison of the two on the splits that both were run on."""
-
-    a: BoardRow
-    b: BoardRow
-    comparison: Comparison
-
-    @classmethod
-    def of(cls, board: Board, a: BoardRow, b: BoardRow) -> RowPair:
-        """The pair. The labels of its rows in the comparison begin with A and B, because they have to differ."""
-        splits = Comparison.of(board, a, b).splits
-        rows = replace(a, label=f"A {a.label}"), replace(b, label=f"B {b.label}")
-        return cls(*rows, Comparison(replace(board, splits=splits, rows=rows), splits))
-
-    @property
-    def label(self) -> str:
-        """The names of the rows, or one name if both have the same."""
-        names = (row.label.partition(" ")[2] for row in (self.a, self.b))
-        return " and ".join(dict.fromkeys(names))
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Interval of B − A, nan where samples are missing."""
-        return self.comparison.paired_difference(self.b, self.a)
+NOTHING_WORSE = "Nothing: no interval of a difference lies below zero (rooms that were never seen are not compared)."
+WORSE_HEADER = ("board", "method", "before", "now", "difference, 95 % interval", "what is different")
 
 
 def compare_results(a: Path, b: Path) -> str:
@@ -75,52 +59,26 @@ def compare_results(a: Path, b: Path) -> str:
     return "\n\n".join([f"A: {a}, B: {b}", *sections])
 
 
-NOTHING_WORSE = "Nothing: no interval of a difference lies below zero (rooms that were never seen are not compared)."
-WORSE_HEADER = ("board", "method", "before", "now", "difference, 95 % interval", "what is different")
-
-
 def got_worse(before: Sequence[RunRecord], after: Sequence[RunRecord]) -> list[list[str]]:
     """Cells under `WORSE_HEADER` for every learned row whose average median SSIM fell, with the whole interval below 0.
 
     Rows of the same scene, protocol and label are compared on the splits of both, on other data too: what is
-    different of data, code, options and machine is told, as the reason. The largest loss stands first.
+    different of data, code, options and machine is told, as the reason. The largest loss comes first.
     """
     old, new = map(_boards_by_place, (before, after))
-    rows = []
+    found = []
     for place in new.keys() & old.keys():
         known = {row.label: row for row in old[place].rows}
         for row in new[place].rows:
             if row.is_trivial or row.label not in known:
                 continue
-            pair = RowPair.of(old[place], known[row.label], row)
-            splits = pair.comparison.splits
-            is_lower = splits and pair.b.average(splits, median_ssim) < pair.a.average(splits, median_ssim)
-            if is_lower and pair.interval[1] < 0:
-                board = ", ".join(place[:2])
+            pair = _pair(old[place], known[row.label], row)
+            a, b = pair.board.rows
+            if pair.splits and b.average(pair.splits) < a.average(pair.splits) and pair.paired_difference(b, a)[1] < 0:
                 cells = _ssim_cells(pair)[3:6]
-                rows.append((float(cells[2].split()[0]), [board, row.label, *cells, _what_is_different(pair)]))
-    return [cells for _, cells in sorted(rows)]
-
-
-def _boards_by_place(records: Sequence[RunRecord]) -> dict[tuple[str, ...], Board]:
-    """The board with most runs of each scene and protocol, and versions of protocol and metrics."""
-    ordered = sorted(boards(records, by_budget=False), key=lambda board: len(board.records))
-    return {
-        (board.scene, board.protocol, board.records[0].protocol_version, board.records[0].metrics_version): board
-        for board in ordered
-    }
-
-
-def _what_is_different(pair: RowPair) -> str:
-    a, b = (row.by_split[pair.comparison.splits[0]][0] for row in (pair.a, pair.b))
-    commits = f" (commit {short_commit(a.git_commit)}, now {short_commit(b.git_commit)})"
-    different = {
-        f"the data ({recipe_name('', a.recipe)}, now {recipe_name('', b.recipe)})": a.recipe != b.recipe,
-        "its options' defaults": a.config != b.config,
-        f"its code{commits}": a.code_sha256 != b.code_sha256,
-        "the machine": a.hardware != b.hardware,
-    }
-    return ", ".join(words for words, is_so in different.items() if is_so) or f"nothing of it{commits}"
+                cells = [", ".join(place[:2]), row.label, *cells, _what_is_different(pair)]
+                found.append((float(cells[4].split()[0]), cells))
+    return [cells for _, cells in sorted(found)]
 
 
 def records_at(path: Path) -> Sequence[RunRecord]:
@@ -136,23 +94,56 @@ def records_at(path: Path) -> Sequence[RunRecord]:
         return of_method
     method, _, digits = path.name.rpartition("@")
     if of_method := [record for record in beside if record.job.method == method]:
-        of_version = [record for record in of_method if version_of(record).startswith(digits)]
+        of_version = [record for record in of_method if version_of(record)[0].startswith(digits)]
         if digits and of_version:
             return of_version
         newest_first = sorted(of_method, key=lambda record: record.time_utc, reverse=True)
-        versions = {f"{method}@{version_of(record)[:VERSION_DIGITS]}": shown_time(record) for record in newest_first}
+        versions = {f"{method}@{version[:6]}": time for version, time in map(version_of, newest_first)}
         listed = ", ".join(f"{name} ({time})" for name, time in versions.items())
         raise DataError(f"{path.parent} has no version {path.name} of the method; newest first, it has {listed}.")
     chosen = {record.id: record for record in beside if record.id.startswith(path.name)}
     if len(chosen) != 1:
         known = sorted(chosen or {record.id for record in beside})
-        more = f" and {len(known) - _SHOWN_IDS} more" if len(known) > _SHOWN_IDS else ""
+        more = f" and {len(known) - 6} more" if len(known) > 6 else ""
         raise DataError(
             f"{path} is no results folder, names none of the methods of {path.parent}, which are "
             f"{', '.join(sorted({record.job.method for record in beside}))}, and begins the ids of {len(chosen)} "
-            f"records there, where one is needed; there are {', '.join(known[:_SHOWN_IDS])}{more}."
+            f"records there, where one is needed; there are {', '.join(known[:6])}{more}."
         )
     return list(chosen.values())
+
+
+def _pair(board: Board, a: BoardRow, b: BoardRow) -> Comparison:
+    """The pair on the splits of both. The labels of its rows begin with A and B, because they have to differ."""
+    splits = Comparison.of(board, a, b).splits
+    rows = replace(a, label=f"A {a.label}"), replace(b, label=f"B {b.label}")
+    return Comparison(replace(board, splits=splits, rows=rows), splits)
+
+
+def _label(pair: Comparison) -> str:
+    """The names of the rows, or one name if both have the same."""
+    return " and ".join(dict.fromkeys(row.label.partition(" ")[2] for row in pair.board.rows))
+
+
+def _boards_by_place(records: Sequence[RunRecord]) -> dict[tuple[str, ...], Board]:
+    """The board with most runs of each scene and protocol, and versions of protocol and metrics."""
+    ordered = sorted(boards(records, by_budget=False), key=lambda board: len(board.records))
+    return {
+        (board.scene, board.protocol, board.records[0].protocol_version, board.records[0].metrics_version): board
+        for board in ordered
+    }
+
+
+def _what_is_different(pair: Comparison) -> str:
+    a, b = (row.by_split[pair.splits[0]][0] for row in pair.board.rows)
+    commits = f" (commit {short_commit(a.git_commit)}, now {short_commit(b.git_commit)})"
+    different = {
+        f"the data ({recipe_name('', a.recipe)}, now {recipe_name('', b.recipe)})": a.recipe != b.recipe,
+        "its options' defaults": a.config != b.config,
+        f"its code{commits}": a.code_sha256 != b.code_sha256,
+        "the machine": a.hardware != b.hardware,
+    }
+    return ", ".join(words for words, is_so in different.items() if is_so) or f"nothing of it{commits}"
 
 
 def _section(a: Board, b: Board) -> str:
@@ -160,9 +151,8 @@ def _section(a: Board, b: Board) -> str:
 
     Raises `DataError` where they test other samples.
     """
-    require_same_samples((a.scene, a.data, a.protocol), [*a.records, *b.records])
-    pairs = [RowPair.of(a, *rows) for rows in _paired_rows(a, b)]
-    pairs = [pair for pair in pairs if pair.comparison.splits]
+    require_same_samples(a.scene, a.data, [*a.records, *b.records])
+    pairs = [pair for rows in _paired_rows(a, b) if (pair := _pair(a, *rows)).splits]
     if not pairs:
         return ""
     header = ("method", "splits", "seeds", "A", "B", "B − A, 95 % interval", "B is")
@@ -207,52 +197,57 @@ def _share_records(row: BoardRow, other: BoardRow) -> bool:
     return any(known.get(record_key(record)) == record for record in other.records)
 
 
-def _ssim_cells(pair: RowPair) -> list[str]:
-    splits = pair.comparison.splits
-    before, after = (row.average(splits, median_ssim) for row in (pair.a, pair.b))
-    low, high = pair.interval
+def _ssim_cells(pair: Comparison) -> list[str]:
+    a, b = pair.board.rows
+    before, after = a.average(pair.splits), b.average(pair.splits)
+    low, high = pair.paired_difference(b, a)
     interval = "" if isnan(low) else f" [{low:+.4f}, {high:+.4f}]"
     verdict = ABSENT if isnan(low) else "better" if low > 0 else "worse" if high < 0 else "="
-    seeds = " and ".join(str(row.num_seeds(splits)[0]) for row in (pair.a, pair.b))
-    shown = ", ".join(map(short_name, splits))
+    seeds = " and ".join(str(row.num_seeds(pair.splits)[0]) for row in (a, b))
+    shown = ", ".join(map(short_name, pair.splits))
     difference = f"{after - before:+.4f}{interval}"
-    return [pair.label, shown, seeds, number(before, 4), number(after, 4), difference, verdict]
+    return [_label(pair), shown, seeds, number(before, 4), number(after, 4), difference, verdict]
 
 
-def _other_table(pairs: Sequence[RowPair]) -> str:
-    columns = [leaderboard_columns(pair.comparison, PAIR) for pair in pairs]
-    titles = list(dict.fromkeys(column.title for of_pair in columns for column in of_pair))
-    rows = []
-    for pair, shown in zip(pairs, columns, strict=True):
-        cells = {column.title: f"{column.text(pair.a)} → {column.text(pair.b)}" for column in shown}
-        rows.append([pair.label, *(cells.get(title, ABSENT) for title in titles)])
+def _other_table(pairs: Sequence[Comparison]) -> str:
+    found = []
+    for pair in pairs:
+        a, b = pair.board.rows
+        shown = columns(pair, (*OTHER_METRICS, *COSTS))
+        found.append({column.title: f"{column.text(a)} → {column.text(b)}" for column in shown})
+    titles = list(dict.fromkeys(title for cells in found for title in cells))
+    rows = [
+        [_label(pair), *(cells.get(title, ABSENT) for title in titles)]
+        for pair, cells in zip(pairs, found, strict=True)
+    ]
     return table(["method", *titles], rows)
 
 
-def _notes(a: Board, b: Board, pairs: Sequence[RowPair]) -> list[str]:
+def _notes(a: Board, b: Board, pairs: Sequence[Comparison]) -> list[str]:
     """What the intervals do not say, and what the tables leave out."""
     few = [
-        pair.label
+        _label(pair)
         for pair in pairs
-        if not isnan(pair.interval[0]) and not all(map(pair.comparison.has_enough_seeds, (pair.a, pair.b)))
+        if not isnan(pair.paired_difference(*pair.board.rows[::-1])[0])
+        and not all(map(pair.has_enough_seeds, pair.board.rows))
     ]
-    shown = {row.label for pair in pairs for row in (pair.a, pair.b)}
-    alone = {
-        side: [
+    said = [
+        f"Of fewer than {MIN_SEEDS} seeds: {', '.join(few)}. Another seed may change the difference by more than the "
+        "interval says."
+    ]
+    said = said if few else []
+    shown = {row.label for pair in pairs for row in pair.board.rows}
+    for side, board, other in (("A", a, b), ("B", b, a)):
+        alone = [
             row.label
             for row in board.rows
             if f"{side} {row.label}" not in shown and not any(_share_records(row, each) for each in other.rows)
         ]
-        for side, board, other in (("A", a, b), ("B", b, a))
-    }
-    seeds = (
-        f"Of fewer than {MIN_SEEDS} seeds: {', '.join(few)}. Another seed may change the difference by more than the "
-        "interval says."
-    )
-    return [*([seeds] if few else []), *(f"Only in {side}: {', '.join(left)}." for side, left in alone.items() if left)]
+        said += [f"Only in {side}: {', '.join(alone)}."] if alone else []
+    return said
 
 
-def _content_of(found: _Boards) -> str:
+def _content_of(found: Mapping[tuple[object, ...], Board]) -> str:
     """Data sets, protocols and methods of a set of results."""
     return "; ".join(
         f"{board.title} of data {board.data_name}, versions {board.records[0].protocol_version} and "

@@ -1,80 +1,147 @@
-"""The tables of boards: the ranking as Markdown, and everything else as rows of CSV. Numbers are means over seeds."""
+"""The tables of boards: rankings as Markdown, every number as rows of CSV and Parquet, and both for Python."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import combinations
 from math import isnan
 from pathlib import Path
 from typing import Any
 
+from pydantic import InstanceOf
+
+from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.report.drawing.markdown import paragraph, table
-from xfreqbench.report.leaderboard.boards import Board, short_name
-from xfreqbench.report.leaderboard.captions import notes
-from xfreqbench.report.leaderboard.columns import OTHER_SCORES, RANKING, TABLE, LeaderboardColumn, leaderboard_columns
+from xfreqbench.report.drawing.templates import SOFTWARE
+from xfreqbench.report.leaderboard.boards import Board, boards, short_name
+from xfreqbench.report.leaderboard.captions import leak_statement, notes
+from xfreqbench.report.leaderboard.columns import BRIEF, COSTS, OTHER_METRICS, columns
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
-from xfreqbench.report.leaderboard.learning_curves import learning_curves
-from xfreqbench.report.leaderboard.rows import BoardRow, median_ssim
-from xfreqbench.runs.records import CURVE_SHARES
+from xfreqbench.report.leaderboard.figures import learning_curves
+from xfreqbench.report.leaderboard.results import read_results, results_at
+from xfreqbench.report.leaderboard.unseen_rooms import is_of_rooms
+from xfreqbench.runs.records import RunRecord
+from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import atomic_path, require_own, storage_errors, write_columns
 from xfreqbench.units import format_ghz
 
-CsvRow = dict[str, Any]
-_FIRST = b"scene,protocol,maps,data,", b"measurement,"  # what begins so was written by us, and may be replaced
+_PARQUET_MARK = f"{SOFTWARE} leaderboard"
 
 
-def ranking_tables(board: Board) -> list[str]:
-    """The ranking for every set of splits that rows share, and for the lone splits."""
-    return list(map(ranking_table, comparisons_of(board)))
+@dataclass(frozen=True, repr=False)
+class Leaderboard:
+    """Records of runs that are shown as tables: one for each data set, protocol and set of splits."""
+
+    records: tuple[RunRecord, ...]
+
+    def __str__(self) -> str:
+        """The ranking of every data set and protocol in a few columns, to be read in a terminal; raises as `boards`."""
+        return "\n\n".join(
+            f"{paragraph(board.title)}. {leak_statement(board)}\n\n{ranking_table(comparison, BRIEF)}"
+            for board in boards(self.records)
+            for comparison in comparisons_of(board)
+        )
+
+    __repr__ = __str__
+
+    def _repr_markdown_(self) -> str:
+        return str(self)
+
+    def to_pandas(self) -> Any:
+        """All tables as one `pandas.DataFrame`, a row for each method on each set of splits.
+
+        The first columns say which table it is: scene, protocol, kind of maps, name of the data, budget, and the splits
+        as a tuple. The others have the titles of the reports, numbers as numbers, nan where they are unknown; where an
+        interval of 95 % is known, its ends are in two more columns, `skill low` and `skill high`. Raises
+        `XFreqBenchError` where pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise XFreqBenchError(
+                'A data frame needs the extra "notebooks". Run: pip install "xfreqbench[notebooks]"'
+            ) from error
+        return pandas.DataFrame(_rows(each for board in boards(self.records) for each in comparisons_of(board)))
 
 
-def ranking_table(comparison: Comparison, columns: Sequence[str] = RANKING) -> str:
+@checked
+def leaderboard(results: FilePath | Sequence[InstanceOf[RunRecord]] | Sequence[FilePath] = "results") -> Leaderboard:
+    """The leaderboard of results folders, of files of records, or of records that `run` returned, to be shown.
+
+    A file may be at an address (https), and may be a frozen version of the reference board by its name, `v1`. The
+    records of several paths are ranked together. Raises `DataError` where there are no records, or one cannot be read.
+    """
+    given = [results] if isinstance(results, str | Path) else results
+    if not given:
+        raise DataError("A leaderboard has records, but none are given.")
+    records = [item for item in given if isinstance(item, RunRecord)]
+    paths = [results_at(item) for item in given if not isinstance(item, RunRecord)]
+    found = tuple(records) or read_results(paths).records
+    if all(map(is_of_rooms, found)):
+        raise DataError("All records are of unseen rooms, which have no leaderboard; `xfreqbench report` has tables.")
+    return Leaderboard(found)
+
+
+def ranking_table(comparison: Comparison, names: Sequence[str] = (), has_others: bool = False) -> str:
     """The rows of a comparison, the best average of median SSIM first, with a caption above and notes below.
 
-    `columns` are names that `leaderboard_columns` knows, such as `BRIEF`. An interval stands in the cell of its number.
+    `names` are those of columns, such as `BRIEF`. An interval is in the cell of its number. If it `has_others`, another
+    table has the scores that this one does not have.
     """
     num_splits = len(comparison.splits)
     where = f" on {num_splits} splits, best average first" if num_splits > 1 else ", best first"
-    caption = f"Median SSIM{where}; order within overlapping ranks means nothing:"
-    shown = leaderboard_columns(comparison, columns)
-    rows = [[column.cell(row) for column in shown] for row in comparison.rows]
-    below = map(paragraph, notes(comparison))
-    return "\n\n".join([caption, table([column.title for column in shown], rows), *below])
+    names = names or (*BRIEF[:5], "seed spread", "skill", "aoa_error", "seeds", *COSTS)
+    parts = [
+        f"Median SSIM{where}; order within overlapping ranks means nothing:",
+        _table(comparison, names),
+        *map(paragraph, notes(comparison)),
+    ]
+    if has_others:
+        parts += [
+            "Mean and 10th percentile of SSIM, and medians of the other metrics:",
+            _table(comparison, ("method", "mean", "p10", *OTHER_METRICS)),
+        ]
+    return "\n\n".join(parts)
 
 
-def other_scores_table(comparison: Comparison) -> str:
-    """The scores of the rows of a comparison that `ranking_table` does not have, in the same order."""
-    shown = leaderboard_columns(comparison, OTHER_SCORES)
-    rows = [[column.text(row) for column in shown] for row in comparison.rows]
-    caption = "Mean and 10th percentile of SSIM, and medians of the other metrics:"
-    return f"{caption}\n\n{table([column.title for column in shown], rows)}"
+def _table(comparison: Comparison, names: Sequence[str]) -> str:
+    shown = columns(comparison, names)
+    return table([each.title for each in shown], [[each.cell(row) for each in shown] for row in comparison.rows])
 
 
-def csv_tables(boards: Sequence[Board]) -> dict[str, list[CsvRow]]:
-    """What stands in files beside the pages of boards, by the endings of their names; tables without rows are left out.
+def csv_tables(ranked: Sequence[Board]) -> dict[str, list[dict[str, Any]]]:
+    """The rows of files beside the pages of boards, by the endings of their names; tables without rows are left out.
 
     `scores` has every metric and cost on every set of splits and every split alone, `pairs` which ranked row beats
     which, and `curves` the learning curves.
     """
     found = {
-        "scores": [row for board in boards for row in _scores(board)],
-        "pairs": [row for board in boards for compared in comparisons_of(board) for row in _pairs(compared)],
-        "curves": [row for board in boards for row in _curves(board)],
+        "scores": [row for board in ranked for row in _scores(board)],
+        "pairs": [row for board in ranked for compared in comparisons_of(board) for row in _pairs(compared)],
+        "curves": [
+            _place(board, (short_name(point["split"]),))
+            | {
+                "method": point["method"],
+                "share": point["share"],
+                "seconds": round(point["seconds"], 3),
+                "SSIM": round(point["ssim"], 5),
+                "best trivial reached after s": point["reached_s"],
+            }
+            for board in ranked
+            for point in learning_curves(board, board.splits)
+        ],
     }
     return {name: rows for name, rows in found.items() if rows}
 
 
-def measurement_rows(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[CsvRow]:
-    """The rows of a measurement; columns of one name are numbered."""
-    names = [f"{name} {place}" if columns.count(name) > 1 else name for place, name in enumerate(columns, 1)]
-    return [{"measurement": title, **dict(zip(names, row, strict=True))} for row in rows]
-
-
-def write_csv(rows: Sequence[CsvRow], output_csv: Path) -> list[str]:
+def write_csv(rows: Sequence[dict[str, Any]], output_csv: Path) -> list[str]:
     """Write rows as CSV, splits joined by blanks; returns the names of the columns, which are those of all rows.
 
     Raises `OutputExistsError` where the file is another one, and `StorageError`.
     """
-    require_own_csv(output_csv)
+    require_own_table(output_csv)
     names = list(dict.fromkeys(name for row in rows for name in row))
     told = [row | ({"splits": " ".join(row["splits"])} if "splits" in row else {}) for row in rows]
     with atomic_path(output_csv) as temporary, storage_errors(output_csv):
@@ -82,26 +149,65 @@ def write_csv(rows: Sequence[CsvRow], output_csv: Path) -> list[str]:
     return names
 
 
-def require_own_csv(output_csv: Path) -> None:
-    """Raise `OutputExistsError` where the file exists and is no table of ours."""
-    require_own(output_csv, lambda path: None if path.read_bytes().startswith(_FIRST) else "is no table of ours")
+def require_own_table(path: Path) -> None:
+    """Raise `OutputExistsError` where a file of CSV or Parquet exists and is not a table of ours."""
+
+    def fault_of(file: Path) -> str | None:
+        content = file.read_bytes()
+        is_ours = content.startswith((b"scene,protocol,maps,data,", b"measurement,"))  # the first columns
+        if path.suffix == ".parquet":
+            is_ours = _PARQUET_MARK.encode() in content
+        return None if is_ours else "is no table of ours"
+
+    require_own(path, fault_of)
 
 
-def table_rows(comparisons: Iterable[Comparison]) -> list[CsvRow]:
-    """The rows of comparisons, each with its cells by their titles."""
-    return [row for comparison in comparisons for row in _table_rows(comparison)]
+def table_files(output_csv: Path) -> list[Path]:
+    """The files that `write_tables` writes: a CSV file and, where pyarrow is installed, a Parquet file beside it."""
+    return [output_csv, *([output_csv.with_suffix(".parquet")] if find_spec("pyarrow") else [])]
 
 
-def _table_rows(comparison: Comparison) -> list[CsvRow]:
-    columns = leaderboard_columns(comparison, TABLE)
-    return [
-        _place(comparison.board, comparison.splits)
-        | {name: cell for column in columns for name, cell in _cells(column, row).items()}
-        for row in comparison.rows
-    ]
+def write_tables(comparisons: Iterable[Comparison], output_csv: Path) -> None:
+    """Write the table of `to_pandas` into `table_files`, splits joined by blanks.
+
+    Raises `OutputExistsError` where one is another file, and `StorageError`.
+    """
+    files = table_files(output_csv)
+    for path in files:
+        require_own_table(path)
+    rows = _rows(comparisons)
+    names = write_csv(rows, output_csv)
+    for output in files[1:]:
+        import pyarrow
+        import pyarrow.parquet
+
+        whole = [dict.fromkeys(names) | row | {"splits": " ".join(row["splits"])} for row in rows]
+        content = pyarrow.Table.from_pylist(whole).replace_schema_metadata({_PARQUET_MARK: "1"})
+        with atomic_path(output) as temporary, storage_errors(output):
+            pyarrow.parquet.write_table(content, temporary)
 
 
-def _place(board: Board, splits: Sequence[str]) -> CsvRow:
+def _rows(comparisons: Iterable[Comparison]) -> list[dict[str, Any]]:
+    """The rows of comparisons, each with its numbers and words by the titles of their columns."""
+    names = (
+        *("best rank", "worst rank", "method", "origin", "ssim", "mean", "p10", *OTHER_METRICS),
+        *("skill", "seed spread", "seeds", *COSTS, "trained on"),
+    )
+    rows = []
+    for comparison in comparisons:
+        shown = columns(comparison, names)
+        for row in comparison.rows:
+            cells = _place(comparison.board, comparison.splits)
+            for column in shown:
+                cells[column.title] = column.value(row) if column.value else column.text(row)
+                low, high = column.bounds(row)
+                if not isnan(low):
+                    cells |= {f"{column.title} low": low, f"{column.title} high": high}
+            rows.append(cells)
+    return rows
+
+
+def _place(board: Board, splits: Sequence[str]) -> dict[str, Any]:
     """The columns that say what a row is of."""
     return {
         "scene": board.scene,
@@ -113,21 +219,12 @@ def _place(board: Board, splits: Sequence[str]) -> CsvRow:
     }
 
 
-def _cells(column: LeaderboardColumn, row: BoardRow) -> CsvRow:
-    if column.value is None:
-        return {column.title: column.text(row)}
-    low, high = column.bounds(row)
-    ends = {} if isnan(low) else {f"{column.title} low": low, f"{column.title} high": high}
-    return {column.title: column.value(row), **ends}
-
-
-def _scores(board: Board) -> Iterator[CsvRow]:
+def _scores(board: Board) -> Iterator[dict[str, Any]]:
     """The rows on every set of splits, and on every split alone, there with the median SSIM at each tested carrier."""
-    sets = [splits for splits in board.split_sets() if len(splits) > 1]
-    yield from table_rows(Comparison(board, splits) for splits in sets)
+    yield from _rows(Comparison(board, splits) for splits in board.split_sets() if len(splits) > 1)
     for split in board.splits:
         comparison = Comparison(board, (split,))
-        for row, cells in zip(comparison.rows, _table_rows(comparison), strict=True):
+        for row, cells in zip(comparison.rows, _rows([comparison]), strict=True):
             medians = [record.scores["ssim"].median_by_carrier_hz for record in row.by_split[split]]
             carriers = sorted(set.intersection(*map(set, medians)), key=float) if len(medians[0]) > 1 else ()
             yield cells | {
@@ -136,33 +233,17 @@ def _scores(board: Board) -> Iterator[CsvRow]:
             }
 
 
-def _pairs(comparison: Comparison) -> Iterator[CsvRow]:
+def _pairs(comparison: Comparison) -> Iterator[dict[str, Any]]:
     """Each ranked row beside every one behind it; trivial predictors behind the best are left out beside others."""
     ranked = comparison.ranked_rows
     trivial = [row for row in ranked if row.is_trivial]
     rows = [row for row in ranked if len(trivial) == len(ranked) or row not in trivial[1:]]
-    for place, row in enumerate(rows):
-        for other in rows[place + 1 :]:
-            low, high = comparison.difference(row, other)
-            averages = [each.average(comparison.splits, median_ssim) for each in (row, other)]
-            yield _place(comparison.board, comparison.splits) | {
-                "method": row.label,
-                "other": other.label,
-                "difference": round(averages[0] - averages[1], 6),
-                "low": round(low, 6),
-                "high": round(high, 6),
-            }
-
-
-def _curves(board: Board) -> Iterator[CsvRow]:
-    """The points of learning curves: by share of the budget, seconds of fitting and median SSIM on a sample of maps."""
-    for curve in learning_curves(board, board.splits):
-        for share, point in zip((*CURVE_SHARES, 1.0), curve.points, strict=True):
-            if point:
-                yield _place(board, (short_name(curve.split),)) | {
-                    "method": curve.row.label,
-                    "share": share,
-                    "seconds": round(point.seconds, 3),
-                    "SSIM": round(point.ssim, 5),
-                    "best trivial reached after s": curve.seconds_to_beat_trivial,
-                }
+    for row, other in combinations(rows, 2):
+        low, high = comparison.difference(row, other)
+        yield _place(comparison.board, comparison.splits) | {
+            "method": row.label,
+            "other": other.label,
+            "difference": round(row.average(comparison.splits) - other.average(comparison.splits), 6),
+            "low": round(low, 6),
+            "high": round(high, 6),
+        }

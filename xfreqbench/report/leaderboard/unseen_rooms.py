@@ -17,27 +17,18 @@ from xfreqbench.data.unseen_rooms import ASKED_GHZ, NUMS_HEARD, ROOM_PROTOCOLS
 from xfreqbench.maps.metrics import NUM_RESAMPLES, skill
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.report.drawing.markdown import ABSENT, prose, table
+from xfreqbench.report.leaderboard.boards import budget_text, short_commit
 from xfreqbench.report.leaderboard.captions import machine_names
 from xfreqbench.report.leaderboard.figures import bench_figure
-from xfreqbench.report.leaderboard.origins import short_commit
-from xfreqbench.report.leaderboard.rows import budget_text
 from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, RunRecord
 from xfreqbench.runs.rooms import NUM_ROOMS, ROOM_SECONDS, ROOM_SIGHT, ROOM_TYPES
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz, ghz_to_hz
 
 ROOMS = ROOM_PROTOCOLS[0]  # the name of the measurement that its tables are
-_START = "line-of-sight"  # which knows geometry alone, and to which the others are compared
-_NOTE = (
-    "A cell has the median SSIM of maps at 2.4, 24.25 and 77 GHz, where a method has heard 1, 10 and 60 GHz, and the "
-    "mean over rooms of how much higher their median SSIM is than that of `line-of-sight`, with its 95 % interval when "
-    "rooms are resampled. "
-)
-_TRAINED, _SKILL = "trained types", "skill over the best trivial predictor"
+_TRAINED = "trained types"
 _MORE = ("skill", "s a room", "s to learn", "rooms learned from")
-_MOST_ROWS = 6
-_Scores = list[FloatArray]  # SSIM in each room that has any such map
-_Chosen = Callable[[RunRecord], _Scores]
+_Chosen = Callable[[RunRecord], list[FloatArray]]  # SSIM in each room that has any such map
 _Runs = dict[tuple[str, str], dict[int, RunRecord]]  # by rooms and method, then by the number of transmitters heard
 
 
@@ -154,9 +145,12 @@ def _part(record: RunRecord) -> str:
 
 def _note(record: RunRecord) -> str:
     trained, tested = record.settings["rooms_trained_on"], record.settings["rooms_tested"]
-    return _NOTE + (
-        f"There were {trained} rooms to train on. Skill is that over the best trivial predictor, at the most heard. "
-        f"Seconds a room are those to adapt to a room and to predict {record.num_test // tested} maps."
+    return (
+        "A cell has the median SSIM of maps at 2.4, 24.25 and 77 GHz, where a method has heard 1, 10 and 60 GHz, and "
+        "the mean over rooms of how much higher their median SSIM is than that of `line-of-sight`, with its 95 % "
+        f"interval when rooms are resampled. There were {trained} rooms to train on. Skill is that over the best "
+        "trivial predictor, at the most heard. Seconds a room are those to adapt to a room and to predict "
+        f"{record.num_test // tested} maps."
     )
 
 
@@ -167,7 +161,7 @@ def _ssim(record: RunRecord) -> Float[FloatArray, "R T F"]:
 
 
 def _at_carrier(*carriers_ghz: float) -> _Chosen:
-    def chosen(record: RunRecord) -> _Scores:
+    def chosen(record: RunRecord) -> list[FloatArray]:
         known = sorted(map(float, record.scores["ssim"].median_by_carrier_hz))
         return list(_ssim(record)[:, :, [known.index(ghz_to_hz(each)) for each in carriers_ghz]])
 
@@ -182,7 +176,7 @@ def _of_type(name: str) -> _Chosen:
 
 
 def _in_sight(flag: str) -> _Chosen:
-    def chosen(record: RunRecord) -> _Scores:
+    def chosen(record: RunRecord) -> list[FloatArray]:
         flags = record.settings[ROOM_SIGHT]
         scores = [room[np.array([*seen]) == flag] for room, seen in zip(_unheard(record), flags, strict=True)]
         return [room for room in scores if room.size]
@@ -190,11 +184,11 @@ def _in_sight(flag: str) -> _Chosen:
     return chosen
 
 
-def _median(scores: _Scores) -> float:
+def _median(scores: list[FloatArray]) -> float:
     return float(np.median(np.concatenate(scores)))
 
 
-def _values(runs: _Runs, part: str, number: int, chosen: _Chosen) -> dict[str, _Scores]:
+def _values(runs: _Runs, part: str, number: int, chosen: _Chosen) -> dict[str, list[FloatArray]]:
     """Scores of every method that has any, where a number of transmitters is heard."""
     found = {label: run[number] for (of_part, label), run in runs.items() if of_part == part and number in run}
     return {label: scores for label, record in found.items() if (scores := chosen(record))}
@@ -208,17 +202,18 @@ def _cells(runs: _Runs, part: str, label: str, chosen: _Chosen) -> list[str]:
         if label not in values:
             cells.append(ABSENT)
             continue
-        cells.append(_cell(values[label], values.get(_START) if label != _START else None))
+        start = "line-of-sight"  # which knows geometry alone, and to which the others are compared
+        cells.append(_cell(values[label], values.get(start) if label != start else None))
         reached = _skill(label, values)
     return [*cells, ABSENT if isnan(reached) else f"{reached:.2f}"]
 
 
-def _skill(label: str, values: dict[str, _Scores]) -> float:
+def _skill(label: str, values: dict[str, list[FloatArray]]) -> float:
     trivial = [_median(scores) for name, scores in values.items() if name in EVERY_TRIVIAL]
     return skill(_median(values[label]), max(trivial, default=nan))
 
 
-def _cell(values: _Scores, start: _Scores | None) -> str:
+def _cell(values: list[FloatArray], start: list[FloatArray] | None) -> str:
     if start is None:
         return f"{_median(values):.3f}"
     by_room = np.array([np.median(room) - np.median(other) for room, other in zip(values, start, strict=True)])
@@ -268,7 +263,8 @@ def _curve(runs: _Runs) -> BenchFigure | None:
 def _drawn(x_label: str, points: Sequence[BenchPoint], log_x: bool) -> BenchFigure | None:
     """A figure of the points of known skill; None without any."""
     known = tuple(point for point in points if not isnan(point.y))
-    return BenchFigure(x_label=x_label, y_label=_SKILL, log_x=log_x, points=known, x_is_cost=False) if known else None
+    y_label = "skill over the best trivial predictor"
+    return BenchFigure(x_label=x_label, y_label=y_label, log_x=log_x, points=known, x_is_cost=False) if known else None
 
 
 def rooms_overview(tables: Iterable[BenchRecord], page: str) -> list[str]:
@@ -282,5 +278,5 @@ def rooms_overview(tables: Iterable[BenchRecord], page: str) -> list[str]:
             columns = [column for column in found.columns if column != "rooms"]
             figure = f" ([figure]({page.rpartition('/')[0]}/{bench_figure(found)}))" if found.figure else ""
             caption = f"Median SSIM by the transmitters heard of a room that was never seen. [More]({page}){figure}"
-            return [f"## Unseen rooms\n\n{caption}\n\n{table(columns, rows[:_MOST_ROWS], prose)}"]
+            return [f"## Unseen rooms\n\n{caption}\n\n{table(columns, rows[:6], prose)}"]
     return []

@@ -63,15 +63,6 @@ _COLUMNS = {  # of the tables: type and meaning
     "file": ("TEXT", "data set of the room, an HDF5 file"),
 }
 Table = dict[str, list[Any]]  # columns by name
-_MAX_SAMPLES, _MAX_MAPS, _RANGE_DB = 1000, 9, 30.0
-_HDF5 = "application/x-hdf5"
-_SIZES = (
-    (1_000, "n<1K"),
-    (10_000, "1K<n<10K"),
-    (100_000, "10K<n<100K"),
-    (1_000_000, "100K<n<1M"),
-    (10_000_000, "1M<n<10M"),
-)
 
 
 @dataclass(frozen=True)
@@ -193,12 +184,13 @@ def _kind(dataset: PasDataset) -> str:
 def _draw_maps(dataset: PasDataset, written: Path) -> None:
     """Draw the maps of the middle transmitter at up to nine carriers."""
     carriers_hz = dataset.header.carrier_hz
-    shown = np.unique(np.linspace(0, len(carriers_hz) - 1, _MAX_MAPS).astype(int))
-    draw_maps(dataset.path, dataset.header.num_tx // 2, carriers_hz[shown].tolist(), _RANGE_DB, written / MAPS)
+    shown = np.unique(np.linspace(0, len(carriers_hz) - 1, 9).astype(int))
+    draw_maps(dataset.path, dataset.header.num_tx // 2, carriers_hz[shown].tolist(), 30.0, written / MAPS)
 
 
 def _spread(num_samples: int) -> IntArray:
-    return np.unique(np.linspace(0, num_samples - 1, _MAX_SAMPLES).astype(int))
+    """At most a thousand of the samples, evenly spread."""
+    return np.unique(np.linspace(0, num_samples - 1, 1000).astype(int))
 
 
 def _positions(position_m: Float[FloatArray, "T 3"]) -> Table:
@@ -244,7 +236,8 @@ def _sha256(path: Path) -> str:
 
 def _metadata(mlc: Any, content: _Content, license_id: str, written: Path, sums: Mapping[str, str]) -> Any:
     """The content of `croissant.json`; many data sets are one set of files, whose sums stand in `SHA256SUMS`."""
-    of_data = (_HDF5, f"the data set {content.recipe}, an HDF5 file")
+    hdf5 = "application/x-hdf5"
+    of_data = (hdf5, f"the data set {content.recipe}, an HDF5 file")
     distribution = [
         mlc.FileObject(
             id=name,
@@ -261,7 +254,7 @@ def _metadata(mlc: Any, content: _Content, license_id: str, written: Path, sums:
     if ROOMS in content.tables:
         told = "the data sets of the rooms, HDF5 files"
         distribution.append(
-            mlc.FileSet(id="data", name="data", description=told, includes=["*/*.h5"], encoding_formats=[_HDF5])
+            mlc.FileSet(id="data", name="data", description=told, includes=["*/*.h5"], encoding_formats=[hdf5])
         )
     record_sets = [
         mlc.RecordSet(
@@ -388,7 +381,8 @@ def _toml(scene: dict[str, Any]) -> str:
 
 def _card(content: _Content, license_id: str, written: Path) -> str:
     """The README: front matter as Hugging Face reads it, then what is there, how to read it, and how to make it."""
-    size = next((words for limit, words in _SIZES if content.num_samples < limit), "10M<n<100M")
+    sizes = {10**3: "n<1K", 10**4: "1K<n<10K", 10**5: "10K<n<100K", 10**6: "100K<n<1M", 10**7: "1M<n<10M"}
+    size = next((words for limit, words in sizes.items() if content.num_samples < limit), "10M<n<100M")
     hub_license = "other" if license_id.startswith("LicenseRef") else license_id.lower()
     configs = "\n".join(f"- config_name: {file.removesuffix('.csv')}\n  data_files: {file}" for file in content.tables)
     listed = "\n".join(f"* `{name}`: {_FILES[name][1]}" for name in _names(written) if name in _FILES)

@@ -26,19 +26,15 @@ from xfreqbench.report.drawing.figures import (
     save_figure,
 )
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
-from xfreqbench.report.view.room import RAY_RANGE_DB, Ray, ShownRoom
-from xfreqbench.report.view.summary import CarrierSummary, Similarity
+from xfreqbench.report.view.describe import CarrierSummary
+from xfreqbench.report.view.plan import RAY_RANGE_DB, ShownRoom
 from xfreqbench.scene.facets import planar_facets
 from xfreqbench.scene.glb_writer import material_hex
 from xfreqbench.types import FloatArray, NDArray
 
-_MARGIN_M = 0.25
 NUMBERED_RAYS = 9  # more numbers would cover each other
-_WIDTH_IN = {"png": 9.0, "svg": 5.2}  # of the room; pages show the narrow one, whose text is read on a phone too
-_MANY_LINES = 300  # more are stored as pixels in an SVG
 _RAY_COLOURS = ListedColormap(mpl.colormaps["plasma"](np.linspace(0.2, 1, 256)), "rays")  # weak ones are dark
 _RAY_SCALE = Normalize(-RAY_RANGE_DB, 0)
-_BACKGROUND = "#14161c"  # on which bright rays stand out, as maps do
 _GROUP_COLOURS = {
     "transmitters in sight": "#009e73",
     "transmitters in shadow": "#8a94a0",
@@ -47,8 +43,6 @@ _GROUP_COLOURS = {
     "in shadow": "#5a636e",
     "all transmitters": "#0072b2",
 }
-
-CARRIER_PARTS = ("similarity", "power", "paths")
 Rgba = tuple[int, int, int, int]
 
 
@@ -69,7 +63,8 @@ def plot_room(room: ShownRoom, path: Path) -> None:
     Raises `StorageError`.
     """
     kind = figure_kind(path)
-    figure, views = plan_and_elevation(*bounds_m(room), _WIDTH_IN[kind])
+    width_in = 5.2 if kind == "svg" else 9.0  # pages show the narrow one, whose text is read on a phone too
+    figure, views = plan_and_elevation(*bounds_m(room), width_in)
     for axis, shown in views:
         _draw_view(axis, room, shown)
     if room.rays:
@@ -111,13 +106,13 @@ def plot_overview(
 
 
 @plain_style()
-def plot_carriers(summary: CarrierSummary, path: Path, parts: Sequence[str] = CARRIER_PARTS) -> None:
+def plot_carriers(summary: CarrierSummary, path: Path, parts: Sequence[str] = ("similarity", "power", "paths")) -> None:
     """Draw, as SVG, how similar maps are between carriers, and power and paths if these are known; else nothing.
 
     Equal summaries give equal bytes. Raises `StorageError`.
     """
     is_known = {
-        "similarity": (_draw_similarity, len(summary.similarity.carrier_hz) > 1),
+        "similarity": (_draw_similarity, len(summary.compared_hz) > 1),
         "power": (_draw_power, summary.peak_db is not None),
         "paths": (_draw_path_counts, summary.num_paths is not None),
     }
@@ -141,12 +136,12 @@ def bounds_m(room: ShownRoom) -> tuple[FloatArray, FloatArray]:
     points_m = [mesh.vertices_m for mesh in room.meshes]
     points_m += [room.receiver_m[None], room.tx_position_m, *(ray.points_m for ray in room.rays)]
     all_m = np.concatenate(points_m)
-    return all_m.min(axis=0) - _MARGIN_M, all_m.max(axis=0) + _MARGIN_M
+    return all_m.min(axis=0) - 0.25, all_m.max(axis=0) + 0.25
 
 
 def draw_outlines(axis: Any, room: ShownRoom, shown: list[int]) -> None:
     """Draw the facets of a room and its receiver on axes that show two world axes, such as [0, 1] for a plan."""
-    axis.set_facecolor(_BACKGROUND)
+    axis.set_facecolor("#14161c")  # on which bright rays stand out, as maps do
     for facet in planar_facets(room.meshes):
         outline = np.vstack([facet.corners_m, facet.corners_m[:1]])[:, shown]
         colour = material_hex(str(room.meshes[facet.surface].material))
@@ -161,26 +156,22 @@ def draw_outlines(axis: Any, room: ShownRoom, shown: list[int]) -> None:
 def _draw_view(axis: Any, room: ShownRoom, shown: list[int]) -> None:
     draw_outlines(axis, room, shown)
     for line in axis.lines:
-        line.set_rasterized(len(axis.lines) > _MANY_LINES)
+        line.set_rasterized(len(axis.lines) > 300)  # so many are stored as pixels in an SVG
     for name, position_m in room.groups().items():
         size = float(np.clip(4000 / max(1, len(room.tx_position_m)), 0.5, 16))
         colour: dict[str, Any] = {"color": _GROUP_COLOURS[name], "alpha": 0.55, "linewidths": 0}
         axis.scatter(*position_m[:, shown].T, s=size, rasterized=True, **colour)
-    _draw_rays(axis, room.rays, shown)
-    axis.plot(*room.tx_m[shown], "*", color=FIXED_WHITE, markersize=13, markeredgecolor=FIXED_BLACK, zorder=6)
-
-
-def _draw_rays(axis: Any, rays: Sequence[Ray], shown: list[int]) -> None:
-    """Draw rays, the strongest on top."""
-    colours = [_RAY_COLOURS(_RAY_SCALE(ray.level_db)) for ray in rays]
-    lines = [ray.points_m[:, shown] for ray in rays]
+    # the strongest on top
+    colours = [_RAY_COLOURS(_RAY_SCALE(ray.level_db)) for ray in room.rays]
+    lines = [ray.points_m[:, shown] for ray in room.rays]
     axis.add_collection(LineCollection(lines[::-1], colors=colours[::-1], linewidths=1.3, zorder=3))
     numbered = list(zip(lines, colours, strict=True))[:NUMBERED_RAYS]
-    for number, (line, colour) in enumerate(numbered, start=1):
+    for number, (line, edge) in enumerate(numbered, start=1):
         # at another share of its length each: labels of rays that begin and end alike stand apart
         place = point_along(line, number / (len(numbered) + 1))
-        style: dict[str, Any] = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": colour}
+        style: dict[str, Any] = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": edge}
         axis.annotate(str(number), place, fontsize=7, ha="center", va="center", bbox=style, zorder=5)
+    axis.plot(*room.tx_m[shown], "*", color=FIXED_WHITE, markersize=13, markeredgecolor=FIXED_BLACK, zorder=6)
 
 
 def point_along(line: Float[FloatArray, "n D"], share: float) -> Float[FloatArray, "D"]:
@@ -201,20 +192,19 @@ def _place_handles(room: ShownRoom) -> list[Line2D]:
 
 
 def _draw_similarity(axis: Any, summary: CarrierSummary) -> None:
-    found: Similarity = summary.similarity
     # the scale begins a tenth, rounded down, below all values
-    least = float(np.floor(np.nanmin(found.median_ssim) * 10 - 0.01) / 10)
-    image = axis.pcolormesh(found.median_ssim, vmin=least, vmax=1, cmap="viridis")
-    names = [f"{carrier / 1e9:.12g}" for carrier in found.carrier_hz]
+    least = float(np.floor(np.nanmin(summary.median_ssim) * 10 - 0.01) / 10)
+    image = axis.pcolormesh(summary.median_ssim, vmin=least, vmax=1, cmap="viridis")
+    names = [f"{carrier / 1e9:.12g}" for carrier in summary.compared_hz]
     places = np.arange(len(names)) + 0.5
     axis.set_xticks(places, names, fontsize=8)
     axis.set_yticks(places, names, fontsize=8)
-    for (row, column), value in np.ndenumerate(found.median_ssim):
+    for (row, column), value in np.ndenumerate(summary.median_ssim):
         if not np.isnan(value):
             place = {"x": column + 0.5, "y": row + 0.5, "ha": "center", "va": "center"}
             axis.text(**place, s=f"{value:.2f}", fontsize=7, color=_ink_on(image.cmap(image.norm(value))))
     axis.set(xlabel="carrier (GHz)", ylabel="carrier (GHz)", aspect="equal")
-    axis.set_title(f"median SSIM between carriers, {found.num_tx} transmitters", fontsize="medium")
+    axis.set_title(f"median SSIM between carriers, {summary.num_compared} transmitters", fontsize="medium")
     axis.figure.colorbar(image, ax=axis, shrink=0.8)
 
 

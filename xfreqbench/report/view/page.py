@@ -13,18 +13,14 @@ from xfreqbench.errors import ProtocolError
 from xfreqbench.report.drawing.markdown import ABSENT, number
 from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_label, one_surface, packed
 from xfreqbench.report.drawing.templates import PageTable, Picture, owner_mark, render
-from xfreqbench.report.view.describe import links_in_words
+from xfreqbench.report.view.describe import CarrierSummary, links_in_words
 from xfreqbench.report.view.figures import NUMBERED_RAYS, Rgba, group_colour, point_along, ray_colour
-from xfreqbench.report.view.plan import ViewPlan
-from xfreqbench.report.view.room import MAX_RAYS, RAY_RANGE_DB, ShownRoom
-from xfreqbench.report.view.summary import CarrierSummary
+from xfreqbench.report.view.plan import MAX_RAYS, RAY_RANGE_DB, ShownRoom, ViewPlan
 from xfreqbench.scene.glb_writer import material_hex
 from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import Layer, complex_permittivity, conductivity_s_m, material_bands
 from xfreqbench.scene.meshes import slabs_of
 from xfreqbench.units import format_ghz, format_ghz_list
-
-_SPLIT_COLUMNS = ("split", "trained on", "tested on", "left out, no path", "same transmitters", "nearest trained (m)")
 
 
 def view_page(
@@ -37,6 +33,7 @@ def view_page(
     """
     splits, refusals = _protocols(view.dataset) if view.dataset else ([], [])
     room, num_tx = view.room, view.header.num_tx
+    of_splits = ("split", "trained on", "tested on", "left out, no path", "same transmitters", "nearest trained (m)")
     others = [] if room.in_sight is None else np.flatnonzero(room.in_sight != room.in_sight[room.tx]).tolist()
     return render(
         "view/page.html",
@@ -61,7 +58,7 @@ def view_page(
         rays=_ray_table(view),
         materials=_material_table(view),
         carriers=_carrier_table(summary) if summary else None,
-        splits=PageTable(_SPLIT_COLUMNS, [_split_row(split) for split in splits]),
+        splits=PageTable(of_splits, [_split_row(split) for split in splits]),
         refusals=refusals,
         origin=PageTable(("what", "value"), [*_origin_rows(view)]),
     )
@@ -203,9 +200,8 @@ def _material_row(view: ViewPlan, slab: Slab, layer: Layer) -> tuple[str, ...]:
 
 def _carrier_table(summary: CarrierSummary) -> PageTable:
     header = ["carrier (GHz)", "without path", "median paths", "power median (dB)", "10 to 90 % (dB)"]
-    compared = summary.similarity
-    is_sampled = len(compared.carrier_hz) < len(summary.carrier_hz)
-    to_next = dict(zip(compared.carrier_hz, np.diagonal(compared.median_ssim, 1), strict=False))  # none for the last
+    is_sampled = len(summary.compared_hz) < len(summary.carrier_hz)
+    to_next = dict(zip(summary.compared_hz, np.diagonal(summary.median_ssim, 1), strict=False))  # none for the last
     rows = []
     for index, carrier_hz in enumerate(summary.carrier_hz):
         heard = summary.has_path[:, index]

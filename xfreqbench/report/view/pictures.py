@@ -27,26 +27,11 @@ from xfreqbench.report.drawing.figures import (
     save_figure,
     shown,
 )
+from xfreqbench.report.view.describe import known_line_of_sight
 from xfreqbench.report.view.figures import bounds_m, draw_outlines
-from xfreqbench.report.view.plan import plan_view
-from xfreqbench.report.view.room import ShownRoom
-from xfreqbench.report.view.summary import known_line_of_sight
+from xfreqbench.report.view.plan import ShownRoom, plan_view
 from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz
-
-_MAX_COLUMNS = 3
-_MANY_LINES = 1000  # outlines of so many facets fill areas, and would hide the squares
-_SAME_PLACE_M = 1e-3  # in the plan
-_PANELS = {  # of a row's name: its title, its unit in names, and what stands beside it
-    "path_loss_above_38901": ("path loss over 3GPP TR 38.901 (dB)", "db", ()),
-    "k_factor": ("K (dB)", "db", ("38901", "mmmagic")),
-    "delay_spread": ("delay spread (ns)", "ns", ("38901", "mmmagic", "small_room", "room_decay")),
-    "arrival_azimuth_spread": ("azimuth spread at the array (°)", "deg", ("38901",)),
-    "departure_azimuth_spread": ("azimuth spread at transmitters (°)", "deg", ("38901", "mmmagic")),
-}
-_NAMES = {"38901": "3GPP TR 38.901 InH", "mmmagic": "mmMAGIC", "small_room": "small room", "room_decay": "room's decay"}
-_STYLES = {"38901": "--", "mmmagic": "-.", "small_room": ":", "room_decay": (0, (1, 3))}
-_SIGHTS = {True: ("in sight", "tab:blue"), False: ("not in sight", "tab:red")}
 
 
 def draw_maps(file: Path, tx: int, carriers_hz: Sequence[float] | None, range_db: float, output: Path) -> None:
@@ -114,11 +99,12 @@ def plot_power(
     strongest is. Of transmitters above each other the mean is shown; no square is drawn where no path arrives. The
     suffix of `path` says which kind of figure is written. Raises `StorageError`.
     """
-    in_plan = np.round(room.tx_position_m[:, :2] / _SAME_PLACE_M)
+    same_place_m = 1e-3
+    in_plan = np.round(room.tx_position_m[:, :2] / same_place_m)
     places, which = np.unique(in_plan, axis=0, return_inverse=True)
-    which, place_m = which.ravel(), places * _SAME_PLACE_M
+    which, place_m = which.ravel(), places * same_place_m
     number = np.bincount(which)
-    columns = min(_MAX_COLUMNS, len(power))
+    columns = min(3, len(power))
     rows = -(-len(power) // columns)
     low_m, high_m = bounds_m(room)
     width_m, depth_m = (high_m - low_m)[:2]
@@ -151,7 +137,7 @@ def _draw_squares(
     level_db = 10 * np.log10(power[order] / power.max()) if len(order) else np.zeros(0)
     outlines_m: Any = place_m[order, None] + corners
     colours: dict[str, Any] = {"array": level_db, "cmap": "viridis", "clim": (-range_db, 0), "linewidths": 0}
-    above_lines = 3 if len(axis.lines) > _MANY_LINES else 1
+    above_lines = 3 if len(axis.lines) > 1000 else 1  # outlines of so many facets would hide the squares
     squares = PolyCollection(outlines_m, zorder=above_lines, **colours)
     axis.add_collection(squares)
     return squares
@@ -170,16 +156,30 @@ def plot_statistics(statistics: ChannelStatistics, name: str, output: Path) -> N
     """The figure of `draw_statistics`, of the data set of a name; raises `StorageError`."""
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     axes = figure.subplots(2, 3).ravel()
+    standards = {
+        "38901": ("3GPP TR 38.901 InH", "--"),
+        "mmmagic": ("mmMAGIC", "-."),
+        "small_room": ("small room", ":"),
+        "room_decay": ("room's decay", (0, (1, 3))),
+    }
+    drawn = (
+        ("path_loss_above_38901", "path loss over 3GPP TR 38.901 (dB)", "db", ()),
+        ("k_factor", "K (dB)", "db", ("38901", "mmmagic")),
+        ("delay_spread", "delay spread (ns)", "ns", tuple(standards)),
+        ("arrival_azimuth_spread", "azimuth spread at the array (°)", "deg", ("38901",)),
+        ("departure_azimuth_spread", "azimuth spread at transmitters (°)", "deg", ("38901", "mmmagic")),
+    )
     first_sight = any(row["in_sight"] for row in statistics.rows)
-    for axis, (what, (title, unit, beside)) in zip(axes, _PANELS.items(), strict=False):
-        for in_sight, (words, colour) in _SIGHTS.items():
+    for axis, (what, title, unit, beside) in zip(axes, drawn, strict=False):
+        for in_sight, words, colour in ((True, "in sight", "tab:blue"), (False, "not in sight", "tab:red")):
             rows = [row for row in statistics.rows if row["in_sight"] == in_sight]
             carriers_ghz = [row["carrier_ghz"] for row in rows]
             axis.plot(carriers_ghz, [row[f"{what}_{unit}"] for row in rows], "o", color=colour, label=words)
             for other in beside if rows else ():
                 values = [row[f"{what}_{other}_{unit}"] for row in rows]
-                label = _NAMES[other] if in_sight == first_sight else None
-                axis.plot(carriers_ghz, values, linestyle=_STYLES[other], color=colour, label=label)
+                name_of, style = standards[other]
+                label = name_of if in_sight == first_sight else None
+                axis.plot(carriers_ghz, values, linestyle=style, color=colour, label=label)
         axis.set(xscale="log", xlabel="carrier (GHz)")
         axis.set_title(title, fontsize="medium")
         if unit != "db":

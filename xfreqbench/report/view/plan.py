@@ -1,4 +1,4 @@
-"""Reads and checks what is to be shown of a data set or a scene, and traces one transmitter's rays again."""
+"""What is shown of a data set or a scene: its room, the transmitters, and the strongest rays of one, traced again."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from jaxtyping import Float
+import numpy as np
+from jaxtyping import Bool, Float
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.options import GenerateOptions
@@ -16,17 +17,78 @@ from xfreqbench.data.retrace import traced_scene
 from xfreqbench.data.schema import DatasetHeader
 from xfreqbench.errors import DataError, SceneError, UnknownNameError, XFreqBenchError
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.report.view.room import ShownRoom, strongest_rays
-from xfreqbench.report.view.summary import known_line_of_sight
+from xfreqbench.report.view.describe import known_line_of_sight
 from xfreqbench.scene.facets import Geometry
-from xfreqbench.scene.meshes import surface_meshes
-from xfreqbench.scene.model import Scene, load_scene
+from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes
+from xfreqbench.scene.model import ReceiverArray, Scene, load_scene
 from xfreqbench.scene.placement import median_transmitter
 from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, NO_INTERACTION, REFRACTION, SPECULAR, Paths
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import TraceSettings
-from xfreqbench.types import FloatArray
+from xfreqbench.types import FloatArray, NDArray
 from xfreqbench.units import PAPER_CARRIERS_GHZ, format_ghz, ghz_to_hz
+
+RAY_RANGE_DB = 30.0  # below the strongest ray; the range that pictures of maps have too
+MAX_RAYS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Ray:
+    """A path; its points run from the transmitter to the array centre.
+
+    `level_db` is its power at one carrier relative to the strongest path, 0 or less. `events` say in turn what it
+    meets, as in `reflected by ceiling`.
+    """
+
+    points_m: Float[FloatArray, "n 3"]
+    level_db: float
+    delay_s: float
+    events: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        """What the ray meets, in words."""
+        return "; ".join(self.events) or "line of sight"
+
+
+@dataclass(frozen=True, eq=False)
+class ShownRoom:
+    """A scene with its receiver, T transmitters, and the rays of transmitter `tx`; positions in world axes.
+
+    `in_sight` is None where the data do not say which transmitters the receiver sees. The array is drawn at the
+    carrier `lowest_hz`, at which it is widest.
+    """
+
+    receiver: ReceiverArray
+    lowest_hz: float
+    tx_position_m: Float[FloatArray, "T 3"]
+    in_sight: Bool[NDArray[np.bool_], "T"] | None
+    tx: int
+    meshes: Sequence[SurfaceMesh]
+    rays: Sequence[Ray]
+
+    @property
+    def tx_m(self) -> Float[FloatArray, "3"]:
+        """Where the transmitter of the rays stands."""
+        return self.tx_position_m[self.tx]
+
+    @property
+    def receiver_m(self) -> Float[FloatArray, "3"]:
+        """Position of the array centre."""
+        return np.array(self.receiver.position_m, dtype=np.float64)
+
+    @property
+    def boresight(self) -> Float[FloatArray, "3"]:
+        """Unit vector along the boresight, which is the pole of the maps' hemisphere."""
+        return self.receiver.rotation[:, 2]
+
+    def groups(self) -> dict[str, Float[FloatArray, "N 3"]]:
+        """Positions of the transmitters in sight and of those in shadow, or of all where that is not known; by name."""
+        if self.in_sight is None:
+            return {"transmitters": self.tx_position_m}
+        lit, shadowed = self.tx_position_m[self.in_sight], self.tx_position_m[~self.in_sight]
+        return {"transmitters in sight": lit, "transmitters in shadow": shadowed}
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +127,7 @@ class ViewPlan:
         prepared = PreparedScene(self.scene, Geometry(room.meshes))
         paths = tracer_of(prepared, carriers_hz, self.settings).paths(room.tx_m)
         index = carriers_hz.index(self.carrier_hz)
-        rays = strongest_rays(paths, index, room.tx_m, room.receiver_m, room.meshes)
+        rays = _strongest_rays(paths, index, room.tx_m, room.receiver_m, room.meshes)
         return replace(self, room=replace(room, rays=rays))
 
 
@@ -145,3 +207,31 @@ def _chosen_hz(carrier_ghz: float | None, carriers_hz: Sequence[float]) -> float
         return ghz_to_hz(carrier_ghz)
     except ValueError as error:
         raise XFreqBenchError(f"--carrier cannot use {carrier_ghz:g}: {error}.") from error
+
+
+def _strongest_rays(
+    paths: Paths,
+    carrier_index: int,
+    tx_m: Float[FloatArray, "3"],
+    receiver_m: Float[FloatArray, "3"],
+    meshes: Sequence[SurfaceMesh],
+) -> list[Ray]:
+    """At most `MAX_RAYS` paths within `RAY_RANGE_DB` of the strongest one at a carrier, the strongest first."""
+    power = np.abs(paths.gain[carrier_index]) ** 2
+    if not power.any():
+        return []
+    verbs = {SPECULAR: "reflected by", REFRACTION: "through", DIFFUSE: "scattered by", DIFFRACTION: "diffracted by"}
+    kept = np.flatnonzero(power >= power.max() * 10 ** (-RAY_RANGE_DB / 10))
+    rays = []
+    for index in kept[np.argsort(-power[kept], kind="stable")][:MAX_RAYS].tolist():
+        met = paths.interactions[index] != NO_INTERACTION
+        codes, surfaces = (each[index][met].tolist() for each in (paths.interactions, paths.surfaces))
+        rays.append(
+            Ray(
+                points_m=np.vstack([tx_m, paths.vertices_m[index][met], receiver_m]),
+                level_db=10 * float(np.log10(float(power[index] / power.max()))),
+                delay_s=float(paths.delay_s[index]),
+                events=tuple(f"{verbs[code]} {meshes[at].name}" for code, at in zip(codes, surfaces, strict=True)),
+            )
+        )
+    return rays

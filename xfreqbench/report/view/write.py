@@ -13,18 +13,10 @@ from xfreqbench.maps.bartlett import power_of
 from xfreqbench.report.drawing.figures import is_own_drawing, plot_pas_maps
 from xfreqbench.report.drawing.orbit import BORESIGHT_M
 from xfreqbench.report.drawing.templates import Picture, is_of_subject
-from xfreqbench.report.view.figures import (
-    CARRIER_PARTS,
-    group_colour,
-    plot_carriers,
-    plot_overview,
-    plot_room,
-    ray_colour,
-)
+from xfreqbench.report.view.describe import CarrierSummary, summarize
+from xfreqbench.report.view.figures import group_colour, plot_carriers, plot_overview, plot_room, ray_colour
 from xfreqbench.report.view.page import view_page
-from xfreqbench.report.view.plan import ViewPlan
-from xfreqbench.report.view.room import ShownRoom
-from xfreqbench.report.view.summary import CarrierSummary, summarize
+from xfreqbench.report.view.plan import ShownRoom, ViewPlan
 from xfreqbench.scene.glb_writer import GlbModel, material_colour
 from xfreqbench.system.files import atomic_path, read_text, require_own, require_space, storage_errors, write_text
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
@@ -32,14 +24,6 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 PAGE, MODEL, ROOM = "index.html", "scene.glb", "scene.png"
 MAPS, CARRIERS, OVERVIEW = "pas.png", "carriers.svg", "overview.png"
 FILES = (PAGE, MODEL, ROOM, MAPS, CARRIERS, OVERVIEW)
-_MOST_MAPS = 12  # on the page
-_ALT = {
-    "similarity": "Median SSIM of maps between each two carriers",
-    "power": "Power of the strongest direction against the carrier",
-    "paths": "How many transmitters have how many paths",
-}
-_ORANGE, _BLACK = (213, 94, 0, 255), (20, 20, 20, 255)
-_BALL_M, _MARKER_M, _RAY_M, _ELEMENT_M = 0.07, 0.02, 0.008, 0.015
 
 
 def claim(view: ViewPlan, folder: Path) -> None:
@@ -82,20 +66,21 @@ def write_view(view: ViewPlan, folder: Path, tell: Callable[[str], None] = lambd
 
 def room_model(room: ShownRoom) -> GlbModel:
     """The scene as a 3D model with a node for every surface, every ray and each group of transmitters."""
-    model = GlbModel()
+    model, orange = GlbModel(), (213, 94, 0, 255)
+    marker_m, line_m, element_m = 0.02, 0.008, 0.015  # radii
     for mesh in room.meshes:
         model.add_surface(mesh, material_colour(str(mesh.material), 60))
     for name, position_m in room.groups().items():
-        model.add_markers(name, position_m, _MARKER_M, group_colour(name))
+        model.add_markers(name, position_m, marker_m, group_colour(name))
     for number, ray in enumerate(room.rays, start=1):
         name = f"ray {number}: {ray.level_db:.1f} dB, {ray.label}"
-        model.add_tube(name, ray.points_m, _RAY_M, ray_colour(ray.level_db))
-    model.add_ball(f"transmitter {room.tx}", room.tx_m, _BALL_M, _BLACK)
+        model.add_tube(name, ray.points_m, line_m, ray_colour(ray.level_db))
+    model.add_ball(f"transmitter {room.tx}", room.tx_m, 0.07, (20, 20, 20, 255))
     elements_m = room.receiver.element_position_m(SPEED_OF_LIGHT_M_S / room.lowest_hz)
     ahead_m = room.receiver_m + BORESIGHT_M * room.boresight
-    model.add_ball("receiver", room.receiver_m, _ELEMENT_M, _ORANGE)
-    model.add_markers(f"array elements at {format_ghz(room.lowest_hz)}", elements_m, _ELEMENT_M, _ORANGE)
-    model.add_tube("boresight", np.stack([room.receiver_m, ahead_m]), _RAY_M, _ORANGE)
+    model.add_ball("receiver", room.receiver_m, element_m, orange)
+    model.add_markers(f"array elements at {format_ghz(room.lowest_hz)}", elements_m, element_m, orange)
+    model.add_tube("boresight", np.stack([room.receiver_m, ahead_m]), line_m, orange)
     return model
 
 
@@ -110,7 +95,7 @@ def _pictures(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> 
     if view.dataset and summary:
         dataset = view.dataset
         rows = np.flatnonzero(dataset.tx_index == view.room.tx)
-        shown = np.linspace(0, len(rows) - 1, min(len(rows), _MOST_MAPS)).round().astype(int)
+        shown = np.linspace(0, len(rows) - 1, min(len(rows), 12)).round().astype(int)
         titles = [format_ghz(carrier) for carrier in dataset.carrier_hz[rows[shown]]]
         maps = power_of(dataset.pas(rows[shown]), dataset.header.pas_kind)
         for index, title in enumerate(titles):
@@ -118,9 +103,14 @@ def _pictures(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> 
         found["maps"] = [
             picture(f"map-{index}", f"Power angular spectrum at {title}") for index, title in enumerate(titles)
         ]
-        for part in CARRIER_PARTS:
+        found["carriers"] = []
+        for part, alt in (
+            ("similarity", "Median SSIM of maps between each two carriers"),
+            ("power", "Power of the strongest direction against the carrier"),
+            ("paths", "How many transmitters have how many paths"),
+        ):
             plot_carriers(summary, scratch / f"{part}.svg", [part])
-        found["carriers"] = [picture(part, alt) for part, alt in _ALT.items() if (scratch / f"{part}.svg").exists()]
+            found["carriers"] += [picture(part, alt)] if (scratch / f"{part}.svg").exists() else []
     return found
 
 
