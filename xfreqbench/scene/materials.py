@@ -24,7 +24,7 @@ from xfreqbench.types import NDArray
 from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz_list, ghz_to_hz
 
 MaterialPolicy = Literal["error", "extrapolate"]
-P2040_EDITION = "P.2040-4"  # of `ITU_MATERIALS`; whoever changes values raises `PHYSICS_VERSION` too
+P2040_EDITION = "P.2040-4"  # of `ITU_MATERIALS`; who changes values raises `PHYSICS_VERSION` too
 MAX_THICKNESS_M, MAX_PERMITTIVITY, MAX_CONDUCTIVITY_S_M = (1e3, 1e6, 1e9)  # Sionna RT's float32 holds their fields
 Thickness = Annotated[float, Field(gt=0, le=MAX_THICKNESS_M, allow_inf_nan=False)]
 DEFAULT_THICKNESS_M = 0.1  # of a material that states none, as in Sionna RT

@@ -63,7 +63,7 @@ def _fault_of(path: str) -> str | None:
     try:
         return None if hasattr(ctypes.CDLL(path), "LLVMContextCreate") else "a library without LLVM"
     except OSError:
-        return "which is no library that can be loaded"
+        return "which is not a library that can be loaded"
 
 
 def _packaged_library() -> str | None:

@@ -139,7 +139,7 @@ def test_a_room_without_faces_is_refused_before_anything_is_written(box: PasData
 def test_faces_that_name_nothing_are_refused(box: PasDataset, change: dict[str, object]) -> None:
     findings = found_room()
     findings["faces"] = [{**findings["faces"][0], **change}]  # type: ignore[index]
-    with pytest.raises(DataError, match="are no planes and images"):
+    with pytest.raises(DataError, match="are not planes and images"):
         compared(box, findings)
 
 
@@ -159,7 +159,7 @@ def test_the_room_that_the_run_refined_is_shown_as_it_is(box: PasDataset) -> Non
 def test_a_room_that_is_none_is_refused(box: PasDataset, change: dict[str, object]) -> None:
     (surface, *_) = refinement_of(compared(box, found_room())).found
     told = {**found_room(), "room": [{**surface_json(surface), **change}]}
-    with pytest.raises(DataError, match="are no planes and images"):
+    with pytest.raises(DataError, match="are not planes and images"):
         compared(box, told)
 
 
