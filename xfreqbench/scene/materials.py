@@ -203,7 +203,7 @@ def material_bands(material: Material) -> tuple[Band, ...]:
 
 
 @contextmanager
-def as_fault_of(what: str) -> Iterator[None]:
+def faults_named(what: str) -> Iterator[None]:
     """A block of a pydantic validator in which an unknown name becomes a `ValueError` that begins with `what`."""
     try:
         yield
@@ -258,7 +258,7 @@ class SceneMaterial:
         if is_preset and self.thickness_m is not None:
             raise ValueError(f"material {self.name!r} has layers, whose thickness is theirs; leave thickness_m out")
         if not is_own and not is_preset:
-            with as_fault_of(f"material {self.name!r}"):
+            with faults_named(f"material {self.name!r}"):
                 material_bands(self.itu or self.name)
         return self
 
