@@ -9,30 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from xfreqbench.baselines.virtual_source.commands import findings as findings_command
-from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings
 from xfreqbench.baselines.virtual_source.findings.room import claim_room, refinement_of, score_rooms, write_room
 from xfreqbench.baselines.virtual_source.room.surfaces import SlabNames, surface_json
 from xfreqbench.baselines.virtual_source.stored import FoundSlab
 
-from tests.support.found_box import ALL_PLANES, SCENE, SETTINGS, found_room, slab
-from tests.support.stored_records import make_record
+from tests.support.found_box import ALL_PLANES, SCENE, SETTINGS, compared, found_room, record_of, slab
 from xfreqbench.cli.data import generate
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import DataError, OutputExistsError
-from xfreqbench.runs.records import RunRecord, append
+from xfreqbench.runs.records import append
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import load_scene
 
 CARRIERS_HZ = [2.4e9, 24.25e9]
 WRITTEN = {"room.toml", "room.glb"}
-
-
-def record_of(box: PasDataset, findings: dict[str, object], **changes: object) -> RunRecord:
-    return make_record("virtual-source", dataset_sha256=box.sha256, findings=findings, **changes)
-
-
-def compared(box: PasDataset, findings: dict[str, object], **changes: object) -> ComparedFindings:
-    return ComparedFindings.of(record_of(box, findings, **changes), box)
 
 
 def write(box: PasDataset, folder: Path, findings: dict[str, object], **changes: object) -> Path:
@@ -200,7 +190,7 @@ def test_a_scenes_name_of_any_letters_is_written_to_the_room(box: PasDataset, tm
     name = 'büro "名前" \\ 1'
     scene_json = json.dumps({**json.loads(box.header.scene_json), "name": name})
     named = replace(box, header=replace(box.header, scene_json=scene_json))
-    told = ComparedFindings.of(record_of(named, found_room()), named)
+    told = compared(named, found_room())
     write_room(told, refinement_of(told).found, [], tmp_path)
     assert load_scene(tmp_path / "room.toml").name == f"{name}-learned"
 
@@ -209,4 +199,4 @@ def test_data_that_cannot_be_traced_in_a_room_are_refused_before_it_is_refined(b
     settings = {**box.header.settings, "interactions": ["specular", "diffuse"]}
     scattered = replace(box, header=replace(box.header, settings=settings))
     with pytest.raises(DataError, match="specular, diffuse, which the image method does not trace"):
-        refinement_of(ComparedFindings.of(record_of(scattered, found_room()), scattered))
+        refinement_of(compared(scattered, found_room()))
