@@ -114,7 +114,7 @@ class WRFGSPlus(LearnedMethod):
     """WRF-GS+, from its paper's idea, on this renderer: blind to the carrier, no interference.
 
     Kept: static Gaussians with an opacity, a network of encoded place and transmitter that shifts, turns and
-    rescales them and adds |s e^{jφ}| to their signal, footprints projected and sorted anew for each transmitter.
+    rescales them and adds |s e^{jφ}| to their signal, footprints projected and sorted again for each transmitter.
     Left out: the network's skip, four of its eight layers and three quarters of its width; all but a few hundred
     Gaussians; spherical harmonics of the signal, for one receiver sees a Gaussian from one side.
     Changed: what it shifts is shifted (the released renderer leaves positions alone); sizes are multiplied, not

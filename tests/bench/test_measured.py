@@ -71,7 +71,7 @@ def test_what_was_traced_in_a_scene_is_explained_by_it_up_to_an_offset(tmp_path:
         ("x,y,z,2\n1,2,3,4\n", "0 columns for receiver north; its columns are x, y, z, 2. Name one north"),
         ("x,y,north,2\n1,2,3,4\n", "not one each for x and y and z"),
         ("x,y,z,north,2,rssi_2\n1,2,3,4,5,6\n", "2 columns for receiver 2"),
-        ("x,y,z,north,2\n1,2,3,4,loud\n", "line 2, has 'loud' in column 2, which is no finite number"),
+        ("x,y,z,north,2\n1,2,3,4,loud\n", "line 2, has 'loud' in column 2, which is not a finite number"),
         ("x,y,z,north,2\n1,2,,4,5\n", "line 2, has '' in column z"),
         ("x,y,z,north,2\n" + "1,2,3,-40,\n" * 40, "fewer than 30 powers of receiver 2"),
         ("x,y,z,north,north\n1,2,3,4,5\n", "2 columns for receiver north"),

@@ -242,7 +242,7 @@ INDEX = {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"}
         ({"materials": []}, "cannot be read"),
         ({"meshes": [{"primitives": [{"attributes": {}}]}]}, "it lacks 'POSITION'"),
         ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 1}]}]}, "holds no triangles"),
-        ({"materials": [{"name": "Oak"}]}, r"node 'mesh 0': material 'Oak' is no ITU material"),
+        ({"materials": [{"name": "Oak"}]}, r"node 'mesh 0': material 'Oak' is not an ITU material"),
     ],
 )  # fmt: skip
 def test_a_glb_that_is_not_sound_is_refused(tmp_path: Path, change: dict[str, Any], message: str) -> None:
@@ -277,16 +277,16 @@ def test_a_glb_that_is_cut_or_nests_without_end_is_refused(tmp_path: Path) -> No
     [
         ("", "no triangles"),
         ("v 0 0 0\n", "no triangles"),
-        ("v 0 0\n", "line 1 is no vertex"),
-        ("v 0 0 0\nv 1 0 0\nf 1 2 3\n", "line 3 is no vertex, or no face"),
+        ("v 0 0\n", "line 1 is not a vertex"),
+        ("v 0 0 0\nv 1 0 0\nf 1 2 3\n", "line 3 is not a vertex, nor a face"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl itu_wood\nf 1 2 3\nf 1 2", "line 6 is no vertex, or no face of three"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl itu_wood\nf 1 2 3\nf 1 2", "line 6 is not a vertex, nor a face of three"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nsurf 0 1 0 1 1 2 3\n", "line 4 is 'surf', of which nothing is read"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "faces without a material"),
         ("usemtl itu_wood\nv 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face of any area"),
-        ("v 1e400 0 0\nv 1 0 0\nv 0 1 0\nusemtl itu_wood\nf 1 2 3\n", "line 1 is no vertex"),
-        ("v 1_0 0 0\n", "line 1 is no vertex"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0_3\n", "line 4 is no vertex, or no face"),
+        ("v 1e400 0 0\nv 1 0 0\nv 0 1 0\nusemtl itu_wood\nf 1 2 3\n", "line 1 is not a vertex"),
+        ("v 1_0 0 0\n", "line 1 is not a vertex"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0_3\n", "line 4 is not a vertex, nor a face"),
     ],
 )
 def test_an_obj_that_is_not_sound_is_refused(tmp_path: Path, text: str, message: str) -> None:
@@ -341,10 +341,10 @@ def test_an_stl_that_is_cut_is_refused(tmp_path: Path, content: str | bytes) -> 
 def test_names_of_materials_that_are_no_utf8_are_never_taken_for_each_other(tmp_path: Path) -> None:
     text = "v 0 0 0\nv 1 0 0\nv 0 1 0\no {0}\nusemtl {1}\nf 1 2 3\no {2}\nusemtl {3}\nf 1 3 2\n"
     for words, encoding in ((("门", "门", "窗", "窗"), "gbk"), (("a", "tür", "b", "tór"), "latin-1")):
-        with pytest.raises(SceneError, match="is no UTF-8; save the file as UTF-8"):
+        with pytest.raises(SceneError, match="is not UTF-8; save the file as UTF-8"):
             meshes_of(tmp_path, "door.obj", text.format(*words).encode(encoding))
     unnamed = text.replace("usemtl {1}\n", "").replace("usemtl {3}\n", "")
-    with pytest.raises(SceneError, match="is no UTF-8"):
+    with pytest.raises(SceneError, match="is not UTF-8"):
         meshes_of(tmp_path, "door.obj", unnamed.format("门", "", "窗").encode("gbk"))
     # of names that say nothing about materials, and comments, no letter ends a line with what is a backslash elsewhere
     japanese = "# 表\n" + text.format("表", "itu_wood", "机", "itu_glass")

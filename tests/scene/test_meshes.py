@@ -45,7 +45,7 @@ def test_a_material_that_no_shape_refers_to_may_be_anything(tmp_path: Path) -> N
     (mesh,) = surface_meshes(imported(tmp_path, unused, CONCRETE.format(""), SHAPE.format(' id="mesh-a"', "square")))
     assert (mesh.name, mesh.material, mesh.thickness_m) == ("a", "concrete", 0.1)
     used = unused.replace("red", "mat-a")
-    with pytest.raises(SceneError, match="no ITU material"):
+    with pytest.raises(SceneError, match="not an ITU material"):
         surface_meshes(imported(tmp_path, used, SHAPE.format("", "square")))
 
 

@@ -163,7 +163,7 @@ def test_materials_in_other_materials_are_found(folder: Path) -> None:
     for refers in ('<alias id="M" as="other"/>', '<bsdf type="twosided" id="other"><ref id="M"/></bsdf>'):
         assert only_mesh(folder, WOOD, refers, other).material == "wood"
     ring = '<bsdf type="twosided" id="other"><ref id="b"/></bsdf><bsdf type="mask" id="b"><ref id="other"/></bsdf>'
-    with pytest.raises(SceneError, match="'other' is no ITU material"):
+    with pytest.raises(SceneError, match="'other' is not an ITU material"):
         only_mesh(folder, ring, other)
 
 

@@ -260,7 +260,7 @@ def test_a_byte_order_mark_is_no_part_of_a_scene(tmp_path: Path, encoding: str) 
     (tmp_path / "box.toml").write_bytes(text.replace("\n", "\r\n").encode(encoding))
     assert load_scene(tmp_path / "box.toml") == parse_scene(text, tmp_path)
     (tmp_path / "box.toml").write_bytes(text.encode("latin-1"))
-    with pytest.raises(SceneError, match=r"box\.toml is no text in UTF-8 .* Save it in that encoding"):
+    with pytest.raises(SceneError, match=r"box\.toml is not text in UTF-8 .* Save it in that encoding"):
         load_scene(tmp_path / "box.toml")
 
 

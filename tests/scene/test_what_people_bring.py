@@ -99,7 +99,7 @@ def test_a_slab_that_single_precision_cannot_hold_is_refused() -> None:
     thick = FOAM.replace("thickness_m = 0.1", "thickness_m = 1000.0")
     scene = parse_scene(f'name = "test"\n{PLACES}{OWN.replace("0.002", "1e9")}{thick}')
     tracer = tracer_of(PreparedScene.of(scene), [94e9], replace(PLAIN, solver="sionna", max_depth=1, rays=10_000))
-    with pytest.raises(SceneError, match=r"At 94 GHz Sionna RT gives 16 of 32 paths a field that is no number"):
+    with pytest.raises(SceneError, match=r"At 94 GHz Sionna RT gives 16 of 32 paths a field that is not a number"):
         tracer.channel(np.array([[3.5, 3.0, 1.5]]))
 
 

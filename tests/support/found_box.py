@@ -6,10 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings
 
 from tests.support.plans import plan_generation
+from tests.support.stored_records import make_record
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.generate import generate_planned
+from xfreqbench.runs.records import RunRecord
 from xfreqbench.scene.materials import ITU_MATERIALS
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface, TransmitterGrid
 from xfreqbench.tracing.tracer import TraceSettings
@@ -96,3 +99,13 @@ def found_room(error_m: float = 0.0, seen: float = 1.0) -> dict[str, object]:
         told = {"plane": index, "slab": 0, "corners_m": corners_m.tolist(), "seen": seen}
         faces.append({**told, "is_wall": surface.name != "screen"})
     return {**ALL_PLANES, "planes": planes, "faces": faces}
+
+
+def record_of(dataset: PasDataset, findings: dict[str, object], **changes: object) -> RunRecord:
+    """A record of virtual-source on a data set."""
+    return make_record("virtual-source", dataset_sha256=dataset.sha256, findings=findings, **changes)
+
+
+def compared(dataset: PasDataset, findings: dict[str, object], **changes: object) -> ComparedFindings:
+    """The findings of such a record beside the scene."""
+    return ComparedFindings.of(record_of(dataset, findings, **changes), dataset)

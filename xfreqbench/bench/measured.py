@@ -45,7 +45,7 @@ def read_measurement(
     """A table of positions, see `read_table`, with z unless `height_m` is given, and powers in dB for each receiver.
 
     The column of a receiver has its name, or a name that ends in `_` and the receiver's, as `rssi_3`; a scene's lone
-    receiver may have the column `power`. An empty cell, nan and -inf are no measurement. `every` is the step between
+    receiver may have the column `power`. An empty cell, nan and -inf are not measurements. `every` is the step between
     the lines that are taken. Raises `DataError`, also for a power that repeats far from all others.
     """
     table = read_table(path)

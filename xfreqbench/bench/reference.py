@@ -40,7 +40,7 @@ REFERENCE_SETTINGS = TraceSettings(
     seed=2,
 )
 
-_ADVICE = "Delete it, and make it anew."
+_ADVICE = "Delete it, and make it again."
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def read_reference(scene: Scene, path: Path | None = None) -> Reference:
         raise DataError(f"{path} does not exist. Make it with: xfreqbench bench reference {scene.name} (or its TOML)")
     reference = _read(path)
     if reference.about.get("scene_sha256") != meshes_sha256(surface_meshes(scene)):
-        raise DataError(f"{path} was made of another version of {scene.name!r}. Delete it and make it anew.")
+        raise DataError(f"{path} was made of another version of {scene.name!r}. Delete it and make it again.")
     if not np.isfinite(reference.cfr).all():
         raise DataError(f"{path} is unfinished. Go on with: xfreqbench bench reference {scene.name}")
     return reference

@@ -142,7 +142,7 @@ def _rungs(solver: SolverName, depths: Sequence[int], rays: Sequence[int]) -> It
     yield Rung(solver, "reflection off", ("interactions",), replace(base, interactions=("refraction",)))
 
 
-def measure(scene: Scene, settings: TraceSettings, reference: Reference, label: str) -> _MeasuredSetting:
+def _measure(scene: Scene, settings: TraceSettings, reference: Reference, label: str) -> _MeasuredSetting:
     """Trace the reference's transmitters and measure times and errors, without compilation.
 
     Times are the smallest of `REPEATS`. With diffraction by Sionna RT, whose rays are shot for each transmitter, it
@@ -235,7 +235,7 @@ def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> Non
     title = f"Error of the generated maps against run time, {scene_name}"
     with bench.table(title, note, _columns(reference), _versions(solvers)) as table:
         for rung in rungs:
-            row = measure(scene, rung.settings, reference, f"{rung.solver}, {rung.label}")
+            row = _measure(scene, rung.settings, reference, f"{rung.solver}, {rung.label}")
             table.add(*row.cells)
             points += [row.point(f"{rung.solver}, {varied}", rung.label) for varied in rung.varied]
         table.figure = _figure(points)
@@ -316,7 +316,7 @@ def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: in
             points.append(row.point(series, f"{rays:,} rays, depth {depth}"))
         for solver in SOLVERS:
             settings = TraceSettings(solver, WITHOUT_DIFFRACTION)
-            row = measure(scene, settings, reference, f"{solver}, defaults, tracing alone")
+            row = _measure(scene, settings, reference, f"{solver}, defaults, tracing alone")
             table.add(*row.cells)
             points.append(row.point(solver, "defaults"))
         table.figure = _figure(points)

@@ -24,7 +24,7 @@ class AngularGrid:
     azimuth_rad: Float[FloatArray, "A"]
 
     def __post_init__(self) -> None:
-        """Angles may be given as lists; raises `ArgumentError` for what is no list of numbers."""
+        """Angles may be given as lists; raises `ArgumentError` for what is not a list of numbers."""
         for name in ("elevation_rad", "azimuth_rad"):
             try:
                 angles = np.asarray(getattr(self, name), np.float64)

@@ -20,7 +20,7 @@ DRAWING = 1  # version of what a seed makes of a family; part of the family's ha
 _STRICT = ConfigDict(extra="forbid")
 
 Share = Annotated[float, Field(ge=0, le=1)]
-Number = Annotated[int, Field(ge=0, le=1000)]
+Count = Annotated[int, Field(ge=0, le=1000)]
 Name = Annotated[str, Field(pattern=r"^\w[\w -]*$")]
 
 
@@ -32,7 +32,7 @@ def _ascends(span: tuple[float, float]) -> tuple[float, float]:
 
 # all values between are equally likely
 Span = Annotated[tuple[PositiveMetres, PositiveMetres], AfterValidator(_ascends)]
-Numbers = Annotated[tuple[Number, Number], AfterValidator(_ascends)]
+Counts = Annotated[tuple[Count, Count], AfterValidator(_ascends)]
 Fraction3 = tuple[Share, Share, Share]
 
 
@@ -80,7 +80,7 @@ class PiecePart:
     slabs: Slabs
     box: tuple[Fraction3, Fraction3] | None = None
     vertices: tuple[Fraction3, ...] = ()
-    faces: tuple[Annotated[tuple[Number, ...], Field(min_length=3)], ...] = ()
+    faces: tuple[Annotated[tuple[Count, ...], Field(min_length=3)], ...] = ()
     mirrors: bool = True
 
     @model_validator(mode="after")
@@ -112,7 +112,7 @@ class Furniture:
     """How many of a piece there are in a room; one for which no free place is found is left out."""
 
     piece: str
-    number: Numbers
+    number: Counts
 
 
 @record(frozen=True, config=_STRICT)
@@ -147,11 +147,11 @@ class RoomType:
     window: Slabs
     arrays: Annotated[tuple[ArrayPlace, ...], Field(min_length=1)]
     furniture: tuple[Furniture, ...] = ()
-    partitions: Numbers = (0, 0)
+    partitions: Counts = (0, 0)
     partial: Share = 0.0
     open: Share = 0.5
-    doors: Numbers = (1, 1)
-    windows: Numbers = (0, 0)
+    doors: Counts = (1, 1)
+    windows: Counts = (0, 0)
     sill_m: Span = (0.8, 1.0)
     window_height_m: Span = (1.0, 1.4)
     tx_height_m: Span = (0.5, 1.8)

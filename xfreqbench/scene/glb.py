@@ -34,7 +34,7 @@ _HARMLESS = (
 def read_glb(content: bytes, materials: Mapping[str, SceneMaterial]) -> Iterator[ImportedShape]:
     """A shape for each node of the file's scene and each material of its mesh, in metres, with y upwards.
 
-    `materials` is the scene's own table, by the names that the file uses. Raises `ValueError` for what is no GLB, or
+    `materials` is the scene's own table, by the names that the file uses. Raises `ValueError` for what is not a GLB, or
     holds geometry that is compressed, skinned, in another file or changed by an extension that is not read, and others
     where parts are missing. Hidden nodes are left out, instances and blend shapes are made.
     """
@@ -49,7 +49,7 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
     """The JSON of a GLB and its binary buffer."""
     magic, version, length = struct.unpack_from("<4sII", content)
     if magic != b"glTF" or version != 2:
-        raise ValueError("it is no binary glTF of version 2")
+        raise ValueError("it is not binary glTF of version 2")
     if length > len(content):
         raise ValueError(f"it ends after {len(content):,} of {length:,} bytes")
     chunks: dict[bytes, bytes] = {}
@@ -60,7 +60,7 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
         start += 8 + size
     header = json.loads(chunks[b"JSON"].decode("utf-8"))
     if not isinstance(header, dict):
-        raise ValueError("its JSON is no object")
+        raise ValueError("its JSON is not an object")
     return header, chunks.get(b"BIN\0", b"")
 
 
@@ -206,7 +206,7 @@ def _triangles(corners: Int[IntArray, "n"], mode: int) -> Int[IntArray, "K 3"]:
     """Corners of a list, strip or fan of triangles; every second one of a strip is turned round."""
     if mode == _TRIANGLES:
         if len(corners) % 3:
-            raise ValueError(f"a list of triangles has {len(corners)} corners, which is no multiple of 3")
+            raise ValueError(f"a list of triangles has {len(corners)} corners, which is not a multiple of 3")
         return corners.reshape(-1, 3)
     if mode == _FAN:
         return np.stack([np.full(max(0, len(corners) - 2), corners[0]), corners[1:-1], corners[2:]], axis=1)

@@ -131,8 +131,8 @@ def slab_of(stated: StatedMaterial | None, table: Mapping[str, SceneMaterial], s
         plain = plain.lower()
         if plain not in ITU_MATERIALS and plain not in PRESETS:
             raise SceneError(
-                f"{source}: material {stated.name!r} is no ITU material. Name it like 'itu_concrete', or say what it "
-                f"is in the scene's TOML: [[material]] name = {stated.name!r}, itu = 'concrete', thickness_m = 0.1."
+                f"{source}: material {stated.name!r} is not an ITU material. Name it like 'itu_concrete', or say what "
+                f"it is in the scene's TOML: [[material]] name = {stated.name!r}, itu = 'concrete', thickness_m = 0.1."
             )
         material = material_named(plain, {})
     thickness_m = (own.thickness_m if own else None) or stated.thickness_m or DEFAULT_THICKNESS_M

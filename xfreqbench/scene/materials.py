@@ -24,7 +24,7 @@ from xfreqbench.types import NDArray
 from xfreqbench.units import VACUUM_PERMITTIVITY_F_M, format_ghz_list, ghz_to_hz
 
 MaterialPolicy = Literal["error", "extrapolate"]
-P2040_EDITION = "P.2040-4"  # of `ITU_MATERIALS`; whoever changes values raises `PHYSICS_VERSION` too
+P2040_EDITION = "P.2040-4"  # of `ITU_MATERIALS`; who changes values raises `PHYSICS_VERSION` too
 MAX_THICKNESS_M, MAX_PERMITTIVITY, MAX_CONDUCTIVITY_S_M = (1e3, 1e6, 1e9)  # Sionna RT's float32 holds their fields
 Thickness = Annotated[float, Field(gt=0, le=MAX_THICKNESS_M, allow_inf_nan=False)]
 DEFAULT_THICKNESS_M = 0.1  # of a material that states none, as in Sionna RT
@@ -203,7 +203,7 @@ def material_bands(material: Material) -> tuple[Band, ...]:
 
 
 @contextmanager
-def as_fault_of(what: str) -> Iterator[None]:
+def faults_named(what: str) -> Iterator[None]:
     """A block of a pydantic validator in which an unknown name becomes a `ValueError` that begins with `what`."""
     try:
         yield
@@ -258,7 +258,7 @@ class SceneMaterial:
         if is_preset and self.thickness_m is not None:
             raise ValueError(f"material {self.name!r} has layers, whose thickness is theirs; leave thickness_m out")
         if not is_own and not is_preset:
-            with as_fault_of(f"material {self.name!r}"):
+            with faults_named(f"material {self.name!r}"):
                 material_bands(self.itu or self.name)
         return self
 

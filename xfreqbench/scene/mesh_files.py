@@ -67,7 +67,7 @@ def mesh_errors(source: str, path: Path) -> Iterator[None]:
 def _loaded(mesh: Any) -> Triangles:
     found = Triangles.of(mesh)
     if any(array.shape[1:] != (3,) for array in found):
-        raise ValueError("it is no list of triangles")
+        raise ValueError("it is not a list of triangles")
     return found
 
 
@@ -95,7 +95,7 @@ def _whole_stl(content: bytes) -> bytes:
     if not _is_whole(text.lower(), with_normals=True):
         text = re.sub(rb"(?mi)^(\s*(?:end)?solid).*$", rb"\1", text)
         if not _is_whole(text.lower()):
-            raise ValueError("it is no STL, or ends within a solid; export it again")
+            raise ValueError("it is not an STL, or ends within a solid; export it again")
     return text
 
 
@@ -216,13 +216,13 @@ class _ObjPart:
         return Triangles(self.vertices_m[used], triangles.reshape(-1, 3).astype(np.int64))
 
     def shape(self, materials: Mapping[str, SceneMaterial]) -> ImportedShape:
-        """The part in the scene; raises `ValueError` where the name that tells its material is no UTF-8."""
+        """The part in the scene; raises `ValueError` where the name that tells its material is not UTF-8."""
         name, material = (
             word.encode(errors="surrogateescape").decode(errors="replace") for word in (self.name, self.material)
         )
         if material != self.material or (not material and name != self.name):
             raise ValueError(
-                f"the name {material or name!r}, which tells a material, is no UTF-8; save the file as UTF-8, as with "
+                f"the name {material or name!r}, which tells a material, is not UTF-8; save the file as UTF-8, as with "
                 "iconv -f GBK -t UTF-8, or give names in ASCII"
             )
         source = f"object {name!r}"
@@ -234,7 +234,7 @@ def _obj_parts(content: bytes) -> list[_ObjPart]:
     """Parts of a Wavefront OBJ, one for each object (`o`, or else `g`) and material (`usemtl`), in their order.
 
     Negative indices count back from the latest vertex. Library files, normals and textures are not read. Raises
-    `ValueError` with the line. Names that are no UTF-8 have surrogates, so that none is taken for another.
+    `ValueError` with the line. Names that are not UTF-8 have surrogates, so that none is taken for another.
     """
     parts: dict[tuple[str, str], _ObjPart] = {}
     vertices: list[tuple[float, float, float]] = []
@@ -259,7 +259,9 @@ def _obj_parts(content: bytes) -> list[_ObjPart]:
                 ):
                     raise ValueError("it is cut, or there is no such vertex")
         except ValueError as error:
-            raise ValueError(f"line {number} is no vertex, or no face of three vertices or more before it") from error
+            raise ValueError(
+                f"line {number} is not a vertex, nor a face of three or more vertices before it"
+            ) from error
         if keyword in ("o", "g"):
             name = rest.strip() or "unnamed"
         elif keyword == "usemtl":

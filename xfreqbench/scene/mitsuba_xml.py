@@ -148,7 +148,7 @@ class _Document:
         try:
             is_below = file.resolve().is_relative_to(self.folder.resolve())
         except (OSError, ValueError, RuntimeError) as error:  # of a name that no file can have, or a ring of links
-            raise SceneError(f"{path} includes {filename!r}, which is no file's name.") from error
+            raise SceneError(f"{path} includes {filename!r}, which is not the name of a file.") from error
         if not is_below:
             raise SceneError(
                 f"{path} includes {filename!r}, which is outside of the scene's folder {self.folder}. "
@@ -258,7 +258,7 @@ def _check_properties(bsdf: Element, name: str, path: Path) -> None:
 
 
 def _is_slip(given: str) -> bool:
-    """Whether a name that is no property of radio materials was most likely meant to be one of them."""
+    """Whether a name that is not a property of radio materials was most likely meant to be one of them."""
     longer = [name for name in _PROPERTIES if len(name) > len("alpha_u")]  # materials of looks have no similar names
     is_own = any(word in given.lower() for word in ("permittivity", "conductivity"))
     return is_own or bool(difflib.get_close_matches(given.lower(), longer, n=1, cutoff=0.75))
@@ -328,7 +328,7 @@ def _check_shape(shape: Element, kind: str, where: str) -> None:
     known = dict.fromkeys(("flip_normals", "face_normals", "flip_tex_coords"), "boolean")
     known |= {"silhouette_sampling_weight": "float"} | ({"filename": "string"} if kind in _FILES else {})
     known |= {"center": "point", "radius": "float"} if kind == "sphere" else {}
-    objects = "bsdf", "ref", "emitter", "sensor", "medium", "texture", "transform"  # which are no properties
+    objects = "bsdf", "ref", "emitter", "sensor", "medium", "texture", "transform"  # which are not properties
     given = [(child.get("name", ""), child.tag) for child in shape if child.tag not in objects]
     for name, tag in given:
         if name not in known:

@@ -25,7 +25,7 @@ from xfreqbench.scene.array import (
     rotation_quaternion,
 )
 from xfreqbench.scene.imported import Slab, rough
-from xfreqbench.scene.materials import LayeredMaterial, SceneMaterial, Thickness, as_fault_of, material_named
+from xfreqbench.scene.materials import LayeredMaterial, SceneMaterial, Thickness, faults_named, material_named
 from xfreqbench.scene.polygons import MAX_CORNERS, flat_polygon
 from xfreqbench.scene.toml_files import form_errors, load_toml, shipped_families, shipped_scenes, toml_content
 from xfreqbench.system.arguments import FilePath, checked, only_given
@@ -358,10 +358,10 @@ class Scene:
             if twice:
                 raise ValueError(f"two {kind}s are named {twice[0]!r}; every {kind} needs its own name")
         for material in self.material:
-            with as_fault_of(f"material {material.name!r}"):
+            with faults_named(f"material {material.name!r}"):
                 material_named(material.name, self.materials)
         for surface in self.surface:
-            with as_fault_of(f"surface {surface.name!r}"):
+            with faults_named(f"surface {surface.name!r}"):
                 self.slab_of(surface)
         return self
 

@@ -1,4 +1,4 @@
-"""A scene with what is computed of it once, for whoever plans, traces or draws it."""
+"""A scene with what is computed of it once, for those that plan, trace or draw it."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ NUM_RAYS = 10_000  # that look for the way out of a room
 
 
 def objects_of(scene: Scene, meshes: Sequence[SurfaceMesh]) -> list[SurfaceMesh]:
-    """The meshes that are no rooms, in which nothing can stand.
+    """The meshes that are not rooms, in which nothing can stand.
 
     Rooms are the meshes that `scene.rooms` names. Without names, a closed mesh is a room where the receiver stands
     in it, and nothing else of the scene stands out of its bounding box by more than `OUTSIDE_M`: a cabinet is not,

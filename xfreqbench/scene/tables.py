@@ -65,7 +65,7 @@ class Table:
         return held[: len(wanted)]
 
     def numbers(self, column: int, missing: Collection[str] = ()) -> Float[FloatArray, "T"]:
-        """The numbers of a column, nan for texts that are `missing`; raises `DataError` for what is no number."""
+        """The numbers of a column, nan for texts that are `missing`; raises `DataError` for what is not a number."""
         found = list[float]()
         for line, text in zip(self.lines, self.columns[column], strict=True):
             try:
@@ -74,8 +74,8 @@ class Table:
                     raise ValueError
             except ValueError as error:
                 raise DataError(
-                    f"{self.path}, line {line}, has {text!r} in column {self.names[column] or column + 1}, which is no "
-                    f"finite number with a decimal point, up to {FAR_M:g}. "
+                    f"{self.path}, line {line}, has {text!r} in column {self.names[column] or column + 1}, which is "
+                    f"not a finite number with a decimal point, up to {FAR_M:g}. "
                     f"{'Leave the cell empty where nothing was measured.' if missing else _ADVICE}"
                 ) from error
         return np.array(found)

@@ -61,7 +61,7 @@ def load_toml(
     except OSError as error:
         raise SceneError(f"The scene file {path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:
-        raise SceneError(f"{path} is no text in UTF-8 ({error}). Save it in that encoding.") from error
+        raise SceneError(f"{path} is not text in UTF-8 ({error}). Save it in that encoding.") from error
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from error
 

@@ -159,7 +159,7 @@ class VirtualSourceField(ChannelField):
         return looks < self.config.looks and share >= LOOK_SHARES[looks] and has_learned and has_time
 
     def look_again(self, train: PasDataset, explained: Explained, step: int, generator: torch.Generator) -> None:
-        """Search for planes in what the field does not explain, and choose images anew by what was learned."""
+        """Search for planes in what the field does not explain, and choose images again by what was learned."""
         is_over = self.budget.timer(_LOOK_SHARE)
         self.num_looks += 1
         self.last_look.fill_(step)

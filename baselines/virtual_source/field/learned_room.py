@@ -100,7 +100,7 @@ class LearnedRoom(nn.Module):
         return (self.presence.most_held() > _MIN_PRESENCE).nonzero()[:, 0].tolist()
 
     def take(self, kept: Sequence[int], found: Sequence[Plane]) -> None:
-        """Keep some planes with all that was learned of them, add the planes found, and choose images anew."""
+        """Keep some planes with all that was learned of them, add the planes found, and choose images again."""
         before = self.planes
         known = [before[index] for index in kept]
         planes = [*known, *found[: self.config.max_planes - len(known)]]

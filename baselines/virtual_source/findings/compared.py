@@ -311,7 +311,7 @@ class ComparedFindings:
         except ValidationError as error:
             fault = error.errors()[0]
             raise DataError(
-                f"The findings of record {record.id} ({record.job.method}) are no planes and images: "
+                f"The findings of record {record.id} ({record.job.method}) are not planes and images: "
                 f"{'.'.join(map(str, fault['loc'])) or 'all'}: {fault['msg']}. Choose another record with --id."
             ) from error
         if dataset.scene.scene is not None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
@@ -36,7 +35,6 @@ from .text import Table, claim, literal, number, table
 FOUND_DISTANCE_M = 0.005  # added to three standard deviations of the plane's distance
 FOUND_TILT_RAD = 0.002
 HELD_MARGIN_M = 0.3  # one cell: what a plane holds is not known more finely
-_ORDERS = (0, 1, 2, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,42 +47,17 @@ class PathKinds:
     is_found: Bool[NDArray[np.bool_], "P"]
 
 
-class Selection(NamedTuple):
-    """A rule that keeps some of the true paths; `max_reflections` None keeps any number of reflections."""
-
-    in_found_planes: bool = False
-    max_reflections: int | None = None
-    transmissions: bool = True
-    edges: bool = False
-
-    @property
-    def label(self) -> str:
-        """The rule in words, as in `true paths, found planes, 1 reflection at most`."""
-        where = "found planes" if self.in_found_planes else "every plane"
-        where += " and edge" if self.edges else ""
-        through = "" if self.transmissions else ", no transmissions"
-        bound = ""
-        if self.max_reflections is not None:
-            number = f"{self.max_reflections} reflection{'' if self.max_reflections == 1 else 's'} at most"
-            bound = f", {number}" if self.max_reflections else ", no reflections"
-        return f"true paths, {where}{bound}{through}"
-
-    def keeps(self, kinds: PathKinds) -> Bool[NDArray[np.bool_], "P"]:
-        """Whether each path is kept."""
-        kept = kinds.is_found | (not self.in_found_planes)
-        if self.max_reflections is not None:
-            kept &= kinds.num_reflections <= self.max_reflections
-        kept &= self.edges | ~kinds.is_diffracted
-        return kept & (self.transmissions | (kinds.num_transmissions == 0))
-
-
-SELECTIONS = (
-    Selection(edges=True),
-    Selection(),
-    *(Selection(True, order) for order in (*_ORDERS, None)),
-    *(Selection(True, order, False) for order in (*_ORDERS, None)),
-    *(Selection(False, order) for order in _ORDERS),
-)
+def selections(kinds: PathKinds) -> dict[str, Bool[NDArray[np.bool_], "P"]]:
+    """Which true paths each row of the table keeps, by its words: `true paths, found planes, 1 reflection at most`."""
+    every, plain, straight = np.ones_like(kinds.is_found), ~kinds.is_diffracted, kinds.num_transmissions == 0
+    bounds = "no reflections", "1 reflection at most", "2 reflections at most", "3 reflections at most"
+    few = {f", {words}": kinds.num_reflections <= order for order, words in enumerate(bounds)}
+    kept = {"every plane and edge": every, "every plane": plain}
+    for through, passes in (("", every), (", no transmissions", straight)):
+        for words, is_few in {**few, "": every}.items():
+            kept[f"found planes{words}{through}"] = kinds.is_found & plain & is_few & passes
+    kept |= {f"every plane{words}": plain & is_few for words, is_few in few.items()}
+    return {f"true paths, {where}": own for where, own in kept.items()}
 
 
 def path_kinds(paths: Paths, tx_position_m: Vector, findings: StoredFindings) -> PathKinds:
@@ -224,14 +197,14 @@ def drawn_rows(dataset: PasDataset, tested: Int[IntArray, "n"], num_tx: int) -> 
 def compute_residual(plan: ResidualPlan, tracing: ProgressCallback, scoring: ProgressCallback) -> Residual:
     """Trace the drawn transmitters, then score all maps; the callbacks get transmitters done and their number."""
     samples = plan.samples
-    channels, share_not_found = _channels(plan, tracing)
-    labels = [*plan.predicted, *(selection.label for selection in SELECTIONS)]
+    true_labels, channels, share_not_found = _channels(plan, tracing)
+    labels = [*plan.predicted, *true_labels]
     scores = {label: np.empty((2, len(samples))) for label in labels}
     for done, rows in enumerate(transmitters := rows_by_transmitter(samples), start=1):
         truth = samples.pas(rows)
         of_channels = channels[rows].reshape(-1, channels.shape[-1])
         derived = samples.beam.maps(of_channels, samples.header.pas_kind)[0]
-        by_selection = derived.reshape(len(rows), len(SELECTIONS), *truth.shape[1:]).swapaxes(0, 1)
+        by_selection = derived.reshape(len(rows), len(true_labels), *truth.shape[1:]).swapaxes(0, 1)
         maps = [*(predicted[rows] for predicted in plan.predicted.values()), *by_selection]
         for label, shown in zip(labels, maps, strict=True):
             scores[label][:, rows] = ssim(shown, truth, samples.grid), psnr(shown, truth, samples.grid)
@@ -247,24 +220,23 @@ def rows_by_transmitter(samples: PasDataset) -> list[Int[IntArray, "f"]]:
 
 def _channels(
     plan: ResidualPlan, progress: ProgressCallback
-) -> tuple[Complex[NDArray[np.complex128], "n S M"], Float[FloatArray, "n"]]:
-    """Channel of each row and selection, and each row's share of power over paths that are not found."""
+) -> tuple[list[str], Complex[NDArray[np.complex128], "n S M"], Float[FloatArray, "n"]]:
+    """Words of the selections, channel of each row and selection, and each row's share of power that is not found."""
     samples, scene = plan.samples, plan.samples.scene
     tracer = ImageTracer(scene, samples.header.carrier_hz.tolist(), plan.settings)
-    channels = np.zeros((len(samples), len(SELECTIONS), scene.receiver.num_elements), np.complex128)
-    share = np.zeros(len(samples))
+    labels, channels, share = list[str](), [], np.zeros(len(samples))
     for done, rows in enumerate(transmitters := rows_by_transmitter(samples), start=1):
         tx_m = samples.tx_position_m[rows[0]].astype(np.float64)
         paths = tracer.paths(tx_m)
         kinds = path_kinds(paths, tx_m, plan.compared.findings)
-        kept = np.array([selection.keeps(kinds) for selection in SELECTIONS])
+        labels, kept = map(list, zip(*selections(kinds).items(), strict=True))
         for row, carrier in zip(rows, samples.rows[rows] % samples.header.num_carriers, strict=True):
-            channels[row] = kept @ spherical_waves(paths, int(carrier), scene.receiver)
+            channels.append(np.array(kept) @ spherical_waves(paths, int(carrier), scene.receiver))
             power = np.abs(paths.gain[carrier]) ** 2
             is_left = kinds.is_diffracted | ~kinds.is_found
             share[row] = power[is_left].sum() / (power.sum() or 1.0)
         progress(done, len(transmitters))
-    return channels, share
+    return labels, np.array(channels), share
 
 
 def score_rows(residual: Residual) -> Table:

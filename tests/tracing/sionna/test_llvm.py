@@ -80,7 +80,7 @@ def test_a_path_of_the_users_without_a_file_is_an_error(monkeypatch: pytest.Monk
 
 def test_a_file_of_the_users_that_is_not_llvm_is_an_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "libLLVM.so").write_bytes(b"no library")
-    libraries = {str(tmp_path / "libLLVM.so"): "no library that can be loaded", _ctypes.__file__: "without LLVM"}
+    libraries = {str(tmp_path / "libLLVM.so"): "not a library that can be loaded", _ctypes.__file__: "without LLVM"}
     for path, fault in libraries.items():
         monkeypatch.setenv(llvm.VARIABLE, path)
         with pytest.raises(MissingLLVMError, match=fault):

@@ -13,7 +13,6 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Complex, Float
 
-from xfreqbench.errors import XFreqBenchError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import Material, complex_permittivity, conductivity_s_m
 from xfreqbench.scene.meshes import surface_meshes
@@ -27,12 +26,6 @@ Candidates = Literal["exhaustive", "hybrid"]
 def has_differt() -> bool:
     """Whether the extra `peers` is installed."""
     return find_spec("differt") is not None
-
-
-def require_differt() -> None:
-    """Raise `XFreqBenchError` where the extra `peers` is not installed."""
-    if not has_differt():
-        raise XFreqBenchError('DiffeRT needs the extra "peers". Run: pip install "xfreqbench[peers]"')
 
 
 class DiffeRTSolver:

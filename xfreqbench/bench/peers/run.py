@@ -10,7 +10,7 @@ from statistics import median
 import numpy as np
 from jaxtyping import Complex, Float
 
-from xfreqbench.bench.peers.differt import has_differt, require_differt
+from xfreqbench.bench.peers.differt import has_differt
 from xfreqbench.bench.peers.solvers import BATCH, CONVERGED, CONVERGED_RAYS, RAYS, SOLVERS, panel_room, transmitters
 from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import ClusterError, UnknownNameError, XFreqBenchError
@@ -129,8 +129,8 @@ def bench_peers(bench: Bench, solvers: Sequence[str], orders: Sequence[int], sec
     for name in solvers:
         if name not in OTHERS:
             raise UnknownNameError("solver", name, list(OTHERS))
-    if any(name.startswith("DiffeRT") for name in solvers):
-        require_differt()
+    if any(name.startswith("DiffeRT") for name in solvers) and not has_differt():
+        raise XFreqBenchError('DiffeRT needs the extra "peers". Run: pip install "xfreqbench[peers]"')
     if not (seconds > 0 and limit_s > 0):
         raise XFreqBenchError(f"--seconds and --limit are seconds above 0, but {seconds:g} and {limit_s:g} are given.")
     bench.introduce()

@@ -81,7 +81,7 @@ class Field:
         """Gain of each of a buffer's P paths at one carrier, spreading included, without its travel phase.
 
         `rays` is the number that the paths were sampled with; only diffuse reflections depend on it. Raises
-        `SceneError` where a gain is no number.
+        `SceneError` where a gain is not a number.
         """
         if buffer.buffer_size == 0:
             return np.zeros(0, dtype=np.complex128)
@@ -107,7 +107,7 @@ class Field:
         if num_lost:
             raise SceneError(
                 f"At {format_ghz(carrier_hz)} Sionna RT gives {num_lost:,} of {len(gains):,} paths a "
-                "field that is no number: a slab of the scene is too thick, or conducts too well, for its single "
+                "field that is not a number: a slab of the scene is too thick, or conducts too well, for its single "
                 "precision. Make thick ones thinner; through a metre of metal nothing passes either."
             )
         return gains

@@ -26,7 +26,7 @@ MAX_LANES = 30_000_000  # rays × depth × targets in one call of the determinis
 
 
 class ForwardRays(Rays):
-    """Rays of one scene, shot anew for every transmitter and carrier, with each array element a target.
+    """Rays of one scene, shot again for every transmitter and carrier, with each array element a target.
 
     A diffuse path stands for all directions into which its ray might have been scattered: its gain holds the solid
     angle 4π/rays, over the probability that the ray took this way, so that the sum of powers does not depend on

@@ -48,7 +48,7 @@ def llvm_version() -> str:
 
 
 def _existing(path: str) -> str:
-    fault = _fault_of(path)
+    fault = _why_unusable(path)
     if fault:
         raise MissingLLVMError(
             f"{VARIABLE} is set to {path!r}, {fault}. Set it to a libLLVM.so of version "
@@ -57,13 +57,13 @@ def _existing(path: str) -> str:
     return path
 
 
-def _fault_of(path: str) -> str | None:
+def _why_unusable(path: str) -> str | None:
     if not Path(path).is_file():
         return "where there is no file"
     try:
         return None if hasattr(ctypes.CDLL(path), "LLVMContextCreate") else "a library without LLVM"
     except OSError:
-        return "which is no library that can be loaded"
+        return "which is not a library that can be loaded"
 
 
 def _packaged_library() -> str | None:

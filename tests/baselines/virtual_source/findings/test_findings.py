@@ -16,6 +16,8 @@ from xfreqbench.baselines.virtual_source.findings.compared import (
 from xfreqbench.baselines.virtual_source.findings.write import MODEL, TEXT, plane_rows, write_findings
 from xfreqbench.baselines.virtual_source.stored import FoundSlab, StoredFindings
 
+from tests.support import found_box
+from tests.support.found_box import record_of
 from tests.support.stored_records import make_record
 from tests.support.synthetic import append_all, make_header
 from xfreqbench.data.dataset import PasDataset, open_dataset
@@ -89,12 +91,8 @@ def written(path: Path, header: object) -> PasDataset:
     return open_dataset(path)
 
 
-def record_of(dataset: PasDataset, findings: dict[str, object], **changes: object) -> RunRecord:
-    return make_record("virtual-source", dataset_sha256=dataset.sha256, findings=findings, **changes)
-
-
 def compared(dataset: PasDataset, *planes: dict[str, object]) -> ComparedFindings:
-    return ComparedFindings.of(record_of(dataset, findings_of(*planes)), dataset)
+    return found_box.compared(dataset, findings_of(*planes))
 
 
 def reflections_of(result: ComparedFindings) -> list[str]:
@@ -295,6 +293,6 @@ def test_names_from_a_scene_are_no_markup_and_steer_no_terminal(tmp_path: Path) 
 
 
 def test_no_planes_at_all_still_make_a_report(dataset: PasDataset, tmp_path: Path) -> None:
-    result = ComparedFindings.of(record_of(dataset, findings_of()), dataset)
+    result = compared(dataset)
     write_findings(result, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {TEXT, MODEL}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings
 from xfreqbench.baselines.virtual_source.findings.materials import (
     LearnedSlab,
     learned_slabs,
@@ -12,17 +11,12 @@ from xfreqbench.baselines.virtual_source.findings.materials import (
     shown_carriers_hz,
 )
 
-from tests.support.found_box import SCENE, found_room, slab
+from tests.support.found_box import SCENE, compared, found_room, slab
 from tests.support.reference import slab_coefficients
-from tests.support.stored_records import make_record
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.scene.materials import complex_permittivity
 
 ANGLE_RAD = np.radians([0.0, 30.0, 60.0, 85.0])
-
-
-def compared(box: PasDataset, findings: dict[str, object]) -> ComparedFindings:
-    return ComparedFindings.of(make_record("virtual-source", dataset_sha256=box.sha256, findings=findings), box)
 
 
 def learned_where(box: PasDataset, findings: dict[str, object], title: str) -> list[LearnedSlab]:

@@ -9,7 +9,6 @@ from xfreqbench.baselines.virtual_source.commands import residual as residual_co
 from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings
 from xfreqbench.baselines.virtual_source.findings.residual import (
     Residual,
-    Selection,
     compute_residual,
     group_rows,
     plan_residual,
@@ -29,7 +28,9 @@ from xfreqbench.runs.predictions import write_predictions
 from xfreqbench.runs.records import RunRecord, append
 from xfreqbench.tracing.tracer import TraceSettings
 
-EVERYTHING = Selection(edges=True)
+EVERYTHING = "every plane and edge"
+BOUNDS = {0: ", no reflections", 1: ", 1 reflection at most", None: ""}
+BOUNDS |= {order: f", {order} reflections at most" for order in (2, 3)}
 
 
 def stored_run(
@@ -68,8 +69,8 @@ def floorless(box: PasDataset, tmp_path_factory: pytest.TempPathFactory) -> Resi
     return residual_of(box, tmp_path_factory.mktemp("floorless"), WITHOUT_FLOOR)
 
 
-def ssim_of(residual: Residual, selection: Selection) -> np.ndarray:
-    return residual.scores[selection.label][0]
+def ssim_of(residual: Residual, where: str, most: int | None = None, through: str = "") -> np.ndarray:
+    return residual.scores[f"true paths, {where}{BOUNDS[most]}{through}"][0]
 
 
 def test_all_true_paths_give_the_true_map(complete: Residual) -> None:
@@ -78,19 +79,19 @@ def test_all_true_paths_give_the_true_map(complete: Residual) -> None:
 
 def test_where_every_plane_was_found_the_found_planes_are_all(complete: Residual) -> None:
     # some processors round the rows of one product apart, by 1e-7 of a map in float32
-    np.testing.assert_allclose(ssim_of(complete, Selection(True)), ssim_of(complete, EVERYTHING), atol=1e-6)
+    np.testing.assert_allclose(ssim_of(complete, "found planes"), ssim_of(complete, EVERYTHING), atol=1e-6)
     for order in (0, 1, 2, 3):
-        found, every = ssim_of(complete, Selection(True, order)), ssim_of(complete, Selection(False, order))
+        found, every = ssim_of(complete, "found planes", order), ssim_of(complete, "every plane", order)
         np.testing.assert_allclose(found, every, atol=1e-6)
     assert not complete.share_not_found.any()
 
 
 def test_a_plane_left_out_is_missed_in_the_found_planes_alone(complete: Residual, floorless: Residual) -> None:
     for order in (1, 2, None):
-        lower = ssim_of(floorless, Selection(True, order)), ssim_of(complete, Selection(True, order))
+        lower = ssim_of(floorless, "found planes", order), ssim_of(complete, "found planes", order)
         assert np.median(lower[0]) < np.median(lower[1]) - 0.005  # a floor carries percents of the power
     for order in (0, 1, 2, 3, None):
-        same = [ssim_of(residual, Selection(False, order)) for residual in (floorless, complete)]
+        same = [ssim_of(residual, "every plane", order) for residual in (floorless, complete)]
         np.testing.assert_array_equal(*same)
     assert floorless.share_not_found.min() > 0
 
@@ -100,17 +101,17 @@ def test_paths_over_edges_are_a_cause_of_their_own(complete: Residual, tmp_path:
     settings = replace(SETTINGS, interactions=("specular", "refraction", "diffraction"))
     plan = plan_generation(SCENE, [2.4e9, 24.25e9], settings, tx=4)
     diffracted = residual_of(open_dataset(generate_planned(plan, tmp_path / "box.h5")), tmp_path, num_tx=4)
-    edges, none = ssim_of(diffracted, EVERYTHING), ssim_of(diffracted, Selection())
+    edges, none = ssim_of(diffracted, EVERYTHING), ssim_of(diffracted, "every plane")
     assert edges.min() > 0.95
     assert np.median(edges) > np.median(none)
     assert diffracted.share_not_found.any()
-    np.testing.assert_array_equal(ssim_of(complete, Selection()), ssim_of(complete, EVERYTHING))
+    np.testing.assert_array_equal(ssim_of(complete, "every plane"), ssim_of(complete, EVERYTHING))
 
 
 def test_transmissions_are_missed_by_those_behind_the_screen(complete: Residual) -> None:
     shadowed = ~complete.samples.tables["line_of_sight"][complete.samples.tx_index]
     assert 0 < shadowed.sum() < len(shadowed)
-    without, direct = ssim_of(complete, Selection(True, 0, False)), ssim_of(complete, Selection(True, 0))
+    without, direct = ssim_of(complete, "found planes", 0, ", no transmissions"), ssim_of(complete, "found planes", 0)
     assert (without[shadowed] < direct[shadowed]).all()
     np.testing.assert_array_equal(without[~shadowed], direct[~shadowed])
 

@@ -10,30 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 from xfreqbench.baselines.virtual_source.commands import findings as findings_command
-from xfreqbench.baselines.virtual_source.findings.compared import ComparedFindings
 from xfreqbench.baselines.virtual_source.findings.room import claim_room, refinement_of, score_rooms, write_room
 from xfreqbench.baselines.virtual_source.room.surfaces import SlabNames, surface_json
 from xfreqbench.baselines.virtual_source.stored import FoundSlab
 
-from tests.support.found_box import ALL_PLANES, SCENE, SETTINGS, found_room, slab
-from tests.support.stored_records import make_record
+from tests.support.found_box import ALL_PLANES, SCENE, SETTINGS, compared, found_room, record_of, slab
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.generate import generate
 from xfreqbench.errors import DataError, OutputExistsError
-from xfreqbench.runs.records import RunRecord, append
+from xfreqbench.runs.records import append
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import load_scene
 
 CARRIERS_HZ = [2.4e9, 24.25e9]
 WRITTEN = {"room.toml", "room.glb"}
-
-
-def record_of(box: PasDataset, findings: dict[str, object], **changes: object) -> RunRecord:
-    return make_record("virtual-source", dataset_sha256=box.sha256, findings=findings, **changes)
-
-
-def compared(box: PasDataset, findings: dict[str, object], **changes: object) -> ComparedFindings:
-    return ComparedFindings.of(record_of(box, findings, **changes), box)
 
 
 def write(box: PasDataset, folder: Path, findings: dict[str, object], **changes: object) -> Path:
@@ -132,7 +122,7 @@ def test_a_room_without_faces_is_refused_before_anything_is_written(box: PasData
 def test_faces_that_name_nothing_are_refused(box: PasDataset, change: dict[str, object]) -> None:
     findings = found_room()
     findings["faces"] = [{**findings["faces"][0], **change}]  # type: ignore[index]
-    with pytest.raises(DataError, match="are no planes and images"):
+    with pytest.raises(DataError, match="are not planes and images"):
         compared(box, findings)
 
 
@@ -152,7 +142,7 @@ def test_the_room_that_the_run_refined_is_shown_as_it_is(box: PasDataset) -> Non
 def test_a_room_that_is_none_is_refused(box: PasDataset, change: dict[str, object]) -> None:
     (surface, *_) = refinement_of(compared(box, found_room())).found
     told = {**found_room(), "room": [{**surface_json(surface), **change}]}
-    with pytest.raises(DataError, match="are no planes and images"):
+    with pytest.raises(DataError, match="are not planes and images"):
         compared(box, told)
 
 
@@ -193,7 +183,7 @@ def test_a_scenes_name_of_any_letters_is_written_to_the_room(box: PasDataset, tm
     name = 'büro "名前" \\ 1'
     scene_json = json.dumps({**json.loads(box.header.scene_json), "name": name})
     named = replace(box, header=replace(box.header, scene_json=scene_json))
-    told = ComparedFindings.of(record_of(named, found_room()), named)
+    told = compared(named, found_room())
     write_room(told, refinement_of(told).found, [], tmp_path)
     assert load_scene(tmp_path / "room.toml").name == f"{name}-learned"
 
@@ -202,4 +192,4 @@ def test_data_that_cannot_be_traced_in_a_room_are_refused_before_it_is_refined(b
     settings = {**box.header.settings, "interactions": ["specular", "diffuse"]}
     scattered = replace(box, header=replace(box.header, settings=settings))
     with pytest.raises(DataError, match="specular, diffuse, which the image method does not trace"):
-        refinement_of(ComparedFindings.of(record_of(scattered, found_room()), scattered))
+        refinement_of(compared(scattered, found_room()))
