@@ -21,7 +21,7 @@ from xfreqbench.data.schema import variables
 from xfreqbench.data.splits import find_split
 from xfreqbench.data.trace import traced
 from xfreqbench.errors import DataError, OutputExistsError, ProtocolError, UnknownNameError, XFreqBenchError
-from xfreqbench.exchange.split_file import Handout
+from xfreqbench.exchange.split_file import write_splits
 from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.report.view.describe import describe
 from xfreqbench.runs.run import asked_tasks
@@ -215,7 +215,7 @@ def training_part(dataset: PasDataset) -> PasDataset:
     return xb.make_splits(dataset, "held-out-receiver")[0].training_part(dataset)
 
 
-def test_nothing_heard_at_a_held_out_receiver_is_trained_on(rooms: PasDataset) -> None:
+def test_nothing_heard_at_a_held_out_receiver_is_trained_on(rooms: PasDataset, tmp_path: Path) -> None:
     (split,) = xb.make_splits(rooms.at("north"), "held-out-receiver")
     assert split.name == "held-out-receiver-north" and len(split.train) == 0
     assert len(split.test) + split.num_without_path == len(rooms)
@@ -232,7 +232,7 @@ def test_nothing_heard_at_a_held_out_receiver_is_trained_on(rooms: PasDataset) -
         with pytest.raises(ProtocolError):
             xb.make_splits(rooms, "held-out-receiver", **refused)
     with pytest.raises(ProtocolError, match="which a split file does not hold"):
-        Handout(rooms, [split])
+        write_splits(rooms, [split], tmp_path / "split.h5")
     found = find_split(rooms.at("north"), "held-out-receiver", split.name)
     assert found.sha256 == split.sha256
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -34,8 +35,7 @@ def test_a_sample_is_a_map_with_its_transmitter_and_its_carrier(dataset: PasData
     "rows", [slice(1, 9, 4), [1, 5], range(1, 9, 4), np.array([1, 5]), np.array([-11, -7]), np.isin(range(12), [1, 5])]
 )
 def test_slices_numbers_and_masks_give_subsets(dataset: PasDataset, rows: slice | np.ndarray) -> None:
-    for subset in (dataset[rows], dataset[rows]):
-        np.testing.assert_array_equal(subset.rows, [1, 5])
+    np.testing.assert_array_equal(dataset[rows].rows, [1, 5])
     np.testing.assert_array_equal(dataset.pas(rows), dataset.pas([1, 5]))
 
 
@@ -69,10 +69,13 @@ def test_what_is_not_there_is_an_index_error_that_says_what_is(dataset: PasDatas
 
 
 def test_a_read_of_more_than_a_gigabyte_is_warned_of(dataset: PasDataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("xfreqbench.data.dataset._WARNED_BYTES", 11 * 4 * 90 * 360)
-    dataset.pas(range(11))
-    with pytest.warns(UserWarning, match=r"reads 12 maps of .*pas\(rows\) reads some of them"):
-        dataset.pas()
+    monkeypatch.setattr(PasDataset, "_file", Mock(side_effect=KeyboardInterrupt))  # before a byte is read
+    few, many = (replace(dataset, rows=np.zeros(number, np.int64)) for number in (7716, 7717))
+    with pytest.raises(KeyboardInterrupt):
+        few.pas()
+    told = r"reads 7717 maps of .*, 1\.0 GB\. pas\(rows\) reads some of them"
+    with pytest.warns(UserWarning, match=told), pytest.raises(KeyboardInterrupt):
+        many.pas()
 
 
 def test_a_notebook_shows_names_as_they_are(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.hdf5 import verify_sealed
 from xfreqbench.data.splits import make_splits
 from xfreqbench.errors import DataError, OutputExistsError, ProtocolError, StorageError
-from xfreqbench.exchange.split_file import SCHEMA, Handout, write_handout
+from xfreqbench.exchange.split_file import SCHEMA, write_splits
 
 GEOMETRY = {
     *("axis", "receiver_axis", "element", "elevation_deg", "azimuth_deg", "rx_position_m", "frame_rotation"),
@@ -89,18 +89,18 @@ def test_a_split_file_that_is_there_is_left_and_another_is_never_overwritten(
     dataset: PasDataset, tmp_path: Path
 ) -> None:
     path = tmp_path / "split.h5"
-    handout = Handout(dataset, make_splits(dataset, "lofo"))
-    assert write_handout(handout, path)
+    splits = make_splits(dataset, "lofo")
+    assert write_splits(dataset, splits, path)
     before = path.read_bytes()
-    assert not write_handout(handout, path)
+    assert not write_splits(dataset, splits, path)
     with pytest.raises(OutputExistsError, match="holds other splits"):
         hand_out(dataset, path, "sparse")
     assert path.read_bytes() == before
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(OutputExistsError, match="no splits that can be read"):
-        write_handout(handout, tmp_path / "notes.txt")
+        write_splits(dataset, splits, tmp_path / "notes.txt")
     with pytest.raises(StorageError, match="not a file"):
-        write_handout(handout, tmp_path)
+        write_splits(dataset, splits, tmp_path)
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
@@ -108,18 +108,18 @@ def test_writing_training_maps_tells_how_far_it_is_and_holds_a_batch_at_a_time(
     dataset: PasDataset, tmp_path: Path
 ) -> None:
     told = []
-    handout = Handout(dataset, make_splits(dataset, "lofo", [77]), maps=True)
-    write_handout(handout, tmp_path / "split.h5", lambda *each: told.append(each))
+    splits = make_splits(dataset, "lofo", [77])
+    write_splits(dataset, splits, tmp_path / "split.h5", True, lambda *each: told.append(each))
     assert told == [(32, 45), (45, 45)]  # 5 transmitters at 9 carriers
 
 
 def test_a_split_file_killed_in_the_middle_is_not_there_and_is_written_by_the_next_try(
     dataset: PasDataset, tmp_path: Path
 ) -> None:
-    handout = Handout(dataset, make_splits(dataset, "lofo", [77]), maps=True)
-    path = tmp_path / "split.h5"
-    killed(lambda: write_handout(handout, path, lambda done, total: os.kill(os.getpid(), signal.SIGKILL)))
+    asked = dataset, make_splits(dataset, "lofo", [77]), tmp_path / "split.h5", True
+    path = asked[2]
+    killed(lambda: write_splits(*asked, lambda done, total: os.kill(os.getpid(), signal.SIGKILL)))
     assert not path.exists() and list(tmp_path.iterdir())
-    assert write_handout(handout, path)
+    assert write_splits(*asked)
     verify_sealed(path, SCHEMA)
     assert list(tmp_path.iterdir()) == [path]

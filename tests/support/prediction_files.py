@@ -11,13 +11,13 @@ import numpy as np
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import make_splits
-from xfreqbench.exchange.split_file import Handout, write_handout
+from xfreqbench.exchange.split_file import write_splits
 
 SPLITS = ["lofo-2.4GHz", "lofo-24.25GHz", "lofo-77GHz"]
 
 
 def hand_out(dataset: PasDataset, path: Path, protocol: str = "lofo", targets=None, maps: bool = False) -> Path:
-    write_handout(Handout(dataset, make_splits(dataset, protocol, targets), maps), path)
+    write_splits(dataset, make_splits(dataset, protocol, targets), path, maps)
     return path
 
 

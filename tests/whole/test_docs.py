@@ -26,7 +26,7 @@ from xfreqbench.cli.main import app
 from xfreqbench.data.generate import generate_planned
 from xfreqbench.data.splits import make_splits
 from xfreqbench.exchange.conventions import convention_rows
-from xfreqbench.exchange.split_file import Handout, write_handout
+from xfreqbench.exchange.split_file import write_splits
 from xfreqbench.report.leaderboard.maps import ShownMaps
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.tracing.sionna.llvm import ensure_llvm
@@ -223,7 +223,7 @@ def test_the_table_of_paths_is_that_of_the_files(tmp_path: Path) -> None:
 def test_the_table_of_split_files_names_every_variable(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data.h5", num_tx=2)
     splits = make_splits(dataset, "lofo", [10])
-    write_handout(Handout(dataset, splits, maps=True), tmp_path / "split.h5")
+    write_splits(dataset, splits, tmp_path / "split.h5", maps=True)
     with h5py.File(tmp_path / "split.h5") as file:
         found = sorted(file[splits[0].name])
     described = table(FORMATS, "## Split files")

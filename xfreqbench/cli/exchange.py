@@ -222,14 +222,14 @@ def split(
     """Write a file with all that a method which runs elsewhere may know of each split, without any tested map."""
     from xfreqbench.data.dataset import open_dataset
     from xfreqbench.data.splits import make_splits
-    from xfreqbench.exchange.split_file import Handout, write_handout
+    from xfreqbench.exchange.split_file import write_splits
     from xfreqbench.system.bars import progress_bars
 
     targets_ghz, dataset = parse_targets_ghz(targets), open_dataset(data)
-    handout = Handout(dataset, make_splits(dataset, protocol, targets_ghz, on), maps)
+    splits = make_splits(dataset, protocol, targets_ghz, on)
     with progress_bars("maps", ["writing"] if maps else [], quiet) as bars:
-        is_new = write_handout(handout, output, *bars)
-    names = ", ".join(split.name for split in handout.splits)
+        is_new = write_splits(dataset, splits, output, maps, *bars)
+    names = ", ".join(split.name for split in splits)
     size = f"{output.stat().st_size / 1e6:.1f} MB"
     say(f"wrote {output} ({size}): {names}" if is_new else f"{output} already holds these splits", quiet)
 

@@ -31,9 +31,6 @@ from xfreqbench.system.processes import open_workers
 from xfreqbench.system.workers import HERE, Workers, side_by_side
 from xfreqbench.types import IntArray, ProgressCallback, ignore_progress
 
-# Samples of every data set that are traced again before it gets its name, or more after a kill.
-NUM_RETRACED = 4
-
 
 @taking(GenerateOptions, without=("rooms",))
 def generate(scene: FilePath | InstanceOf[Scene], output: FilePath, options: GenerateOptions) -> PasDataset:
@@ -139,7 +136,7 @@ def _sampled(plan: Plan, kept: Sequence[int]) -> IntArray:
     """Rows of the samples that are traced again: one of each batch that was kept, and four at least."""
     generator = np.random.default_rng(int(plan.sha256[:8], 16))
     others = generator.permutation([index for index in range(len(plan.batches)) if index not in kept]).tolist()
-    number, num_carriers = max(NUM_RETRACED, len(kept)), len(plan.header.carrier_hz)
+    number, num_carriers = max(4, len(kept)), len(plan.header.carrier_hz)
     batches = [plan.batches[index] for index in islice(cycle([*kept, *others]), number)]
     return np.unique([generator.integers(num_carriers * rows.start, num_carriers * rows.stop) for rows in batches])
 

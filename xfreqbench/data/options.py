@@ -134,8 +134,9 @@ def taking(
     def decorated(function: Callable[[Any, FilePath, GenerateOptions], Returned]) -> TakesOptions[Taken, Returned]:
         known = [each for each in inspect.signature(options).parameters.values() if each.name not in without]
         known = [each.replace(default=each.empty) if each.name in needed else each for each in known]
+        known = [each.replace(annotation=each.annotation[len("Annotated[") :].partition(", Doc(")[0]) for each in known]
         own = [*inspect.signature(function).parameters.values()][:2]
-        signature = inspect.Signature([*own, *known])
+        signature, hints = inspect.Signature([*own, *known]), get_type_hints(GenerateOptions, include_extras=True)
 
         @wraps(function)
         def call(*arguments: Any, **named: Any) -> Returned:
@@ -143,10 +144,10 @@ def taking(
             traced, output = (given.pop(each.name) for each in own)
             return function(traced, output, GenerateOptions(**given))
 
+        told = [f"    {each.name}: {hints[each.name].__metadata__[-1].documentation}" for each in known]
+        call.__doc__ = "\n".join([f"{function.__doc__}\n    Options, as the command says:\n", *told])
         call.__signature__ = signature  # type: ignore[attr-defined]
-        call.__annotations__ = get_type_hints(function, include_extras=True) | get_type_hints(
-            GenerateOptions, include_extras=True
-        )
+        call.__annotations__ = get_type_hints(function, include_extras=True) | hints
         return checked(call)
 
     return decorated

@@ -103,26 +103,41 @@ class Plan:
         in_sight = ", ".join(map(str, np.atleast_1d(self.line_of_sight.sum(axis=0)).tolist()))
         links = "".join(
             f"× {len(names)} {what} ({', '.join(names)}) "
-            for what, names in (("receivers", header.receivers), ("pairs", header.polarizations))
+            for what, names in zip(("receivers", "pairs"), header.link_names, strict=True)
             if names
         )
-        return (
+        lines = [
             f"{self.scene.name}: {len(self.tx_position_m)} transmitters ({in_sight} in sight) {links}"
             f"× {len(header.carrier_hz)} carriers = {self.num_samples} samples, {header.num_bytes / 1e6:.0f} MB"
-            f"{' and the paths' if header.paths else ''}\n"
+            f"{' and the paths' if header.paths else ''}",
             f"solver {settings.solver}, {' and '.join(settings.named_interactions)}, depth {settings.max_depth}, "
-            f"{settings.rays:,} rays, seed {settings.seed}\n"
-            f"{rejected} grid positions left out{': ' + reasons if reasons else ''}"
-            f"{self._mesh_notes}{self._thin_notes}{self._near_notes}{self._material_notes}"
-        ) + (
-            "" if header.receiver.resolves_directions else "\nmaps are nearly constant: the array has hardly any extent"
-        )
+            f"{settings.rays:,} rays, seed {settings.seed}",
+            f"{rejected} grid positions left out{': ' + reasons if reasons else ''}",
+        ]
+        if self.scene.scene is not None:
+            lines.append(self._mesh_note())
+        # Sionna RT drops all paths through both faces of closed meshes as thin as this
+        thin = [
+            mesh.name
+            for mesh in (self.geometry.meshes if settings.solver == "sionna" else ())
+            if PLANE_TOLERANCE < extents_m(mesh.vertices_m)[0] < MIN_SEPARATION_M
+            and mesh.material != "metal"
+            and is_closed(mesh)
+        ]
+        if thin:
+            lines.append(
+                f"thinner than {MIN_SEPARATION_M * 1e3:g} mm, so that in Sionna RT nothing passes both faces: "
+                f"{', '.join(thin)}; a rectangle with its thickness_m, or solver image, lets through what it should"
+            )
+        if near := nearly_in_one_plane(self.geometry):
+            lines.append(f"{near}: a path passes both; if they are one wall, or one object twice, leave one out")
+        lines += self._material_notes()
+        if not header.receiver.resolves_directions:
+            lines.append("maps are nearly constant: the array has hardly any extent")
+        return "\n".join(lines)
 
-    @property
-    def _mesh_notes(self) -> str:
-        """A line on the size of a scene with a mesh file, and on what of it mirrors; else empty."""
-        if self.scene.scene is None:
-            return ""
+    def _mesh_note(self) -> str:
+        """A line on the size of a scene with a mesh file, and on what of it mirrors."""
         geometry = self.geometry
         x, y, z = (f"{extent:,.2f}" for extent in np.ptp(bounds_m(geometry.meshes), axis=0))
         sides_m = np.diff(triangle_corners_m(geometry.meshes), axis=1)
@@ -131,36 +146,13 @@ class Plan:
         patches_m2 = np.bincount(patch[mirrors], weights=area_m2[mirrors], minlength=1)
         num_outside = np.count_nonzero(are_outside(geometry.meshes, self.tx_position_m))
         return (
-            f"\nmeshes: {x} × {y} m, {z} m high; {patches_m2.sum():,.2f} of {area_m2.sum():,.2f} m² mirror, the "
+            f"meshes: {x} × {y} m, {z} m high; {patches_m2.sum():,.2f} of {area_m2.sum():,.2f} m² mirror, the "
             f"largest patch is {patches_m2.max():,.2f} m²; {np.count_nonzero(~mirrors):,} of {len(mirrors):,} "
             "triangles do not" + (f"; {num_outside:,} transmitters stand outside" if num_outside else "")
         )
 
-    @property
-    def _thin_notes(self) -> str:
-        """A line on closed meshes so thin that Sionna RT drops all paths through both of their faces; else empty."""
-        if self.settings.solver != "sionna":
-            return ""
-        thin = [
-            mesh.name
-            for mesh in self.geometry.meshes
-            if PLANE_TOLERANCE < extents_m(mesh.vertices_m)[0] < MIN_SEPARATION_M
-            and mesh.material != "metal"
-            and is_closed(mesh)
-        ]
-        note = f"\nthinner than {MIN_SEPARATION_M * 1e3:g} mm, so that in Sionna RT nothing passes both faces: "
-        advice = "a rectangle with its thickness_m, or solver image, lets through what it should"
-        return f"{note}{', '.join(thin)}; {advice}" if thin else ""
-
-    @property
-    def _near_notes(self) -> str:
-        """A line on surfaces of two objects that nearly lie in one plane; else empty."""
-        near = nearly_in_one_plane(self.geometry)
-        return f"\n{near}: a path passes both; if they are one wall, or one object twice, leave one out" if near else ""
-
-    @property
-    def _material_notes(self) -> str:
-        """Lines on materials that the scene defines itself, and on those that scatter; empty where there are none."""
+    def _material_notes(self) -> list[str]:
+        """Lines on materials that the scene defines itself, and on those that scatter."""
         layers = [layer for slab in slabs_of(self.geometry.meshes) for layer in slab.layers]
         own = {layer.material for layer in layers if isinstance(layer.material, ConstantMaterial)}
         constant = ", ".join(
@@ -170,8 +162,8 @@ class Plan:
         rough = ", ".join(f"{name} (S {how.coefficient:g}, {how.pattern})" for name, how in self.geometry.scattering)
         is_traced = "diffuse" in self.settings.named_interactions
         untraced = "" if is_traced else ", of which the interaction diffuse is not traced"
-        constant_note = f"\nthe same at every carrier: {constant}" if constant else ""
-        return constant_note + (f"\nscattering: {rough}{untraced}" if rough else "")
+        notes = {"the same at every carrier": constant, "scattering": rough and rough + untraced}
+        return [f"{what}: {names}" for what, names in notes.items() if names]
 
     @cached_property
     def job(self) -> dict[str, str]:

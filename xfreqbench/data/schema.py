@@ -37,7 +37,6 @@ TX, CARRIER, ELEMENT = "tx", "carrier_hz", "element"  # axes, and the variables 
 RECEIVER, POLARIZATION = "receiver", "polarization"  # axes of a file with several
 AXIS, RECEIVER_AXIS = "axis", "receiver_axis"
 ELEVATION, AZIMUTH = "elevation_deg", "azimuth_deg"
-ELEMENT_POSITION = "element_position_wavelengths"
 UNKNOWN_NUM_PATHS = -1
 
 
@@ -192,7 +191,7 @@ def _geometry_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variab
         Variable(AZIMUTH, "<f8", (A,), (AZIMUTH,), "degree", "azimuth in the frame, periodic"),
         Variable("tx_position_m", "<f8", (T, 3), (TX, AXIS), "m", "transmitter position"),
         Variable("rx_position_m", "<f8", (*rx.values(), 3), (*rx, AXIS), "m", "position of the array centre"),
-        Variable(ELEMENT_POSITION, "<f8", (M, 3), (ELEMENT, RECEIVER_AXIS), "1", element_position),
+        Variable("element_position_wavelengths", "<f8", (M, 3), (ELEMENT, RECEIVER_AXIS), "1", element_position),
         Variable("frame_rotation", "<f8", frame_shape, frame_axes, "1", "receiver's frame to world"),
         *(
             Variable(axis, "<i4", (count,), (axis,), "1", named[axis][1], flags=_words(*named[axis][0]))
@@ -243,7 +242,7 @@ def constants(header: DatasetHeader, grid: AngularGrid) -> dict[str, NDArray[Any
         ELEVATION: np.degrees(grid.elevation_rad).round(9),
         AZIMUTH: np.degrees(grid.azimuth_rad).round(9),
         "rx_position_m": np.stack(positions_m) if receivers else positions_m[0],
-        ELEMENT_POSITION: receiver.element_position_wavelengths,
+        "element_position_wavelengths": receiver.element_position_wavelengths,
         "frame_rotation": np.stack(rotations) if receivers else rotations[0],
         **{axis: np.arange(count) for axis, count in header.link_axes.items()},
     }

@@ -46,8 +46,6 @@ from xfreqbench.runs.scoring import BATCH_SIZE, record_of, scored_on_split
 from xfreqbench.system.files import exclusive, json_sha256, require_space, require_text
 from xfreqbench.types import ProgressCallback, ignore_progress
 
-PAS = "pas"
-
 
 def _one_line(text: str) -> str:
     if not text.isprintable() or not text.strip():
@@ -89,7 +87,7 @@ class Part:
         with open_foreign(self.path, f"the maps of {self.split.name!r}") as file:
             for start in range(0, len(test), BATCH_SIZE):
                 rows = test[start : start + BATCH_SIZE]
-                values = np.asarray((file[self.group] if self.group else file)[PAS][start : start + BATCH_SIZE])
+                values = np.asarray((file[self.group] if self.group else file)["pas"][start : start + BATCH_SIZE])
                 if values.shape != (len(rows), *grid_shape):
                     raise DataError(f"{self.path} was changed while it was read. Run the same command again.")
                 if fault := fault_of_maps(values):
@@ -222,21 +220,21 @@ def splits_or_none(dataset: PasDataset, protocol: str, targets_ghz: Sequence[flo
 def _groups(path: Path, file: Any, dataset: PasDataset, known: Mapping[str, Split]) -> list[str | None]:
     """The groups with predictions in a file, or `[None]` if they are at its root; links are not followed."""
     members = list(file)
-    if PAS in members:
+    if "pas" in members:
         twice = [name for name in members if name in known]
         if twice:
             raise DataError(
-                f"{path} has {PAS!r} at its root and group {twice[0]!r}: one split may be there twice. "
+                f"{path} has 'pas' at its root and group {twice[0]!r}: one split may be there twice. "
                 "Keep one of the two."
             )
         return [None]
     if not members:
-        raise DataError(f"{path} is empty. Write a group for each split, with a dataset {PAS!r}.")
+        raise DataError(f"{path} is empty. Write a group for each split, with a dataset 'pas'.")
     for name in members:
         if name not in known:
             raise UnknownNameError(f"split of {dataset.path.name} for {path},", name, known)
         if not is_group(foreign_item(file, name)):
-            raise DataError(f"{path}: {name!r} is no group of this file. Make it a group with a dataset {PAS!r}.")
+            raise DataError(f"{path}: {name!r} is no group of this file. Make it a group with a dataset 'pas'.")
     return members
 
 
@@ -298,21 +296,21 @@ def _plain(value: Any) -> Any:
 
 def _check_dataset(place: str, group: Any, shape: tuple[int, int, int]) -> None:
     """Raise `DataError` unless `pas` is a dataset of real numbers with that shape, in the file itself."""
-    if PAS not in list(group):
-        raise DataError(f"{place}: there is no dataset {PAS!r}; it holds {', '.join([*group][:9]) or 'nothing'}.")
-    stored = foreign_item(group, PAS)
+    if "pas" not in list(group):
+        raise DataError(f"{place}: there is no dataset 'pas'; it holds {', '.join([*group][:9]) or 'nothing'}.")
+    stored = foreign_item(group, "pas")
     if stored is None or is_group(stored):
         raise DataError(
-            f"{place}: {PAS!r} is a link, no dataset, or in chunks far larger than all of it. Write it as a dataset of "
+            f"{place}: 'pas' is a link, no dataset, or in chunks far larger than all of it. Write it as a dataset of "
             f"shape {shape} into the file itself."
         )
     if stored.shape != shape:
         is_reversed = stored.shape == shape[::-1]
-        advice = f"{shape} backwards: MATLAB's first index is HDF5's last. Write permute({PAS}, [3 2 1])."
+        advice = f"{shape} backwards: MATLAB's first index is HDF5's last. Write permute(pas, [3 2 1])."
         needed = f"but {shape[0]} test rows need {shape}: row, elevation, azimuth."
-        raise DataError(f"{place}: {PAS!r} has shape {stored.shape}, {advice if is_reversed else needed}")
+        raise DataError(f"{place}: 'pas' has shape {stored.shape}, {advice if is_reversed else needed}")
     if stored.dtype.kind not in "fiu":
-        raise DataError(f"{place}: {PAS!r} has dtype {stored.dtype}; it must be real numbers, best float32.")
+        raise DataError(f"{place}: 'pas' has dtype {stored.dtype}; it must be real numbers, best float32.")
 
 
 def _check_coordinates(place: str, group: Any, dataset: PasDataset, split: Split) -> None:

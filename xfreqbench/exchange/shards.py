@@ -38,10 +38,6 @@ the frame of the array.
 ```
 """
 Columns = dict[str, NDArray[Any]]  # by name, a row a sample
-_ROOM = (
-    "; the seed of its `room`, `rx_position_m` (x, y, z) and `frame_rotation`, 3 × 3 row by row, from the array's axes "
-    "to the world. Splits are the collection's parts"
-)
 _CODE = {
     "webdataset": """import glob, webdataset
 files = sorted(glob.glob("{split}-*.tar"))
@@ -162,6 +158,10 @@ def _readme(splits: Mapping[str, PasDataset | Collection], total: int, to: str) 
     one = data[0] if isinstance(data, Collection) else data
     rows, columns = one.grid.shape
     elevation_rad, azimuth_rad = one.grid.elevation_rad, one.grid.azimuth_rad
+    room = (
+        "; the seed of its `room`, `rx_position_m` (x, y, z) and `frame_rotation`, 3 × 3 row by row, from the array's "
+        "axes to the world. Splits are the collection's parts"
+    )
     return _README.format(
         splits="\n".join(f"  - split: {name}\n    path: {name}-*{ending}" for name in splits),
         name=f"rooms of family {data.record.name}" if isinstance(data, Collection) else data.recipe,
@@ -169,7 +169,7 @@ def _readme(splits: Mapping[str, PasDataset | Collection], total: int, to: str) 
         rows=rows,
         columns=columns,
         cfr=", and the channel of every element, `cfr_real` and `cfr_imag`" if one.header.channels else "",
-        room=_ROOM if isinstance(data, Collection) else "",
+        room=room if isinstance(data, Collection) else "",
         low=degrees(elevation_rad[0]),
         high=degrees(elevation_rad[-1]),
         first=degrees(azimuth_rad[0]),

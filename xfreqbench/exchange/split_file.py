@@ -16,7 +16,7 @@ data set and split. `xfreqbench.exchange.score_file` says which of them a file o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,58 +32,43 @@ from xfreqbench.system.files import json_sha256, require_own
 from xfreqbench.types import NDArray, ProgressCallback, ignore_progress
 
 SCHEMA = "xfreqbench/split/1"
-MAPS = "train_pas"
 
 
-@dataclass(frozen=True, eq=False)
-class Handout:
-    """What goes into a split file: splits of one protocol of a data set, with their training maps if `maps`."""
+def write_splits(
+    dataset: PasDataset,
+    splits: Sequence[Split],
+    path: Path,
+    maps: bool = False,
+    progress: ProgressCallback = ignore_progress,
+) -> bool:
+    """Write a split file of splits of one protocol; returns False, and writes nothing, if it is there already.
 
-    dataset: PasDataset
-    splits: Sequence[Split]
-    maps: bool = False
-
-    def __post_init__(self) -> None:
-        if any(split.receivers for split in self.splits):
-            raise ProtocolError(
-                f"Protocol {self.splits[0].protocol!r} trains on other receivers, which a split file does not hold. "
-                "Hand out another protocol."
-            )
-        if self.maps:
-            _require_untold(self.splits)
-
-    @property
-    def sha256(self) -> str:
-        """Hash of everything that determines the file's content."""
-        return json_sha256([SCHEMA, self.dataset.sha256, [split.sha256 for split in self.splits], self.maps])
-
-    @property
-    def num_maps(self) -> int:
-        """Number of training maps to be written."""
-        return sum(len(split.train) for split in self.splits) if self.maps else 0
-
-
-def write_handout(handout: Handout, path: Path, progress: ProgressCallback = ignore_progress) -> bool:
-    """Write a split file; returns False, and writes nothing, if `path` holds the same file already.
-
-    `progress` is told how many maps are written and how many there are; a few of them are in memory at once. Raises
+    With `maps`, their training maps come along. `progress` is told how many maps are written and how many there are; a
+    few of them are in memory at once. Raises `ProtocolError` for splits that cannot be handed out,
     `OutputExistsError` if `path` holds something else, `StorageError`, and `DataError` if a map cannot be read.
     """
-    if require_own(path, lambda file: _fault_of(file, handout.sha256)):
+    if any(split.receivers for split in splits):
+        raise ProtocolError(
+            f"Protocol {splits[0].protocol!r} trains on other receivers, which a split file does not hold. "
+            "Hand out another protocol."
+        )
+    if maps:
+        _require_untold(splits)
+    sha256 = json_sha256([SCHEMA, dataset.sha256, [split.sha256 for split in splits], maps])
+    if require_own(path, lambda file: _fault_of(file, sha256)):
         return False
-    variables = [variable for split in handout.splits for variable in _variables(handout, split)]
-    groups = {split.name: _attributes(handout.dataset, split) for split in handout.splits}
-    header = {"schema": SCHEMA, "content_sha256": handout.sha256}
-    done = 0
-    with create_sealed(path, variables, header, groups) as writer:
-        for split in handout.splits:
-            _append_known(writer, handout.dataset, split)
-        for split in handout.splits if handout.maps else ():
+    stored = [variable for split in splits for variable in _variables(dataset, split, maps)]
+    groups = {split.name: _attributes(dataset, split) for split in splits}
+    done, num_maps = 0, sum(len(split.train) for split in splits)
+    with create_sealed(path, stored, {"schema": SCHEMA, "content_sha256": sha256}, groups) as writer:
+        for split in splits:
+            _append_known(writer, dataset, split)
+        for split in splits if maps else ():
             for start in range(0, len(split.train), BATCH_SIZE):
-                maps = handout.dataset.pas(split.train[start : start + BATCH_SIZE])
-                writer.append(f"{split.name}/{MAPS}", maps)
-                done += len(maps)
-                progress(done, handout.num_maps)
+                part = dataset.pas(split.train[start : start + BATCH_SIZE])
+                writer.append(f"{split.name}/train_pas", part)
+                done += len(part)
+                progress(done, num_maps)
     return True
 
 
@@ -101,7 +86,7 @@ def _require_untold(splits: Sequence[Split]) -> None:
 
 
 def _fault_of(path: Path, sha256: str) -> str | None:
-    """In words, what a file holds other than the handout with that hash; None if it holds that handout."""
+    """In words, what a file holds other than the splits with that hash; None if it holds these."""
     try:
         verify_sealed(path, SCHEMA)
         with open_sealed(path, SCHEMA) as file:
@@ -122,10 +107,9 @@ def _attributes(dataset: PasDataset, split: Split) -> dict[str, str]:
     }
 
 
-def _variables(handout: Handout, split: Split) -> list[Variable]:
-    E, A = handout.dataset.grid.shape
-    header, grid = handout.dataset.header, handout.dataset.grid
-    known = [variable for variable in variables(header, grid) if variable.name in _geometry(handout.dataset)]
+def _variables(dataset: PasDataset, split: Split, with_maps: bool) -> list[Variable]:
+    header, (E, A) = dataset.header, dataset.grid.shape
+    known = [variable for variable in variables(header, dataset.grid) if variable.name in _geometry(dataset)]
     for part, rows in (("train", split.train), ("test", split.test)):
         row, shape = f"{part}_row", (len(rows),)
         known += [
@@ -133,10 +117,10 @@ def _variables(handout: Handout, split: Split) -> list[Variable]:
             Variable(f"{part}_tx_position_m", "<f8", (*shape, 3), (row, "axis"), "m", "transmitter position"),
             Variable(f"{part}_carrier_hz", "<f8", shape, (row,), "Hz", "carrier frequency"),
         ]
-    if handout.maps:
+    if with_maps:
         axes = ("train_row", "elevation_deg", "azimuth_deg")
-        long_name = f"power angular spectrum ({handout.dataset.header.pas_kind}), peak 1"
-        maps = Variable(MAPS, "<f4", (len(split.train), E, A), axes, "1", long_name, chunk=(1, E, A))
+        long_name = f"power angular spectrum ({header.pas_kind}), peak 1"
+        maps = Variable("train_pas", "<f4", (len(split.train), E, A), axes, "1", long_name, chunk=(1, E, A))
         known.append(maps)
     prefix = f"{split.name}/"
     return [
