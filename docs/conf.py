@@ -33,5 +33,5 @@ def write_pages(app, error):
     """Write `docs/boards.html` with its tables, and the folder `docs/office`."""
     if error is None and app.builder.format == "html":
         folder = Path(app.outdir) / "docs"
-        write_page([Path(app.srcdir) / "baselines" / "reference_results.jsonl"], folder / "boards.html")
+        write_page([Path(app.srcdir) / "baselines" / "reference_results.parquet"], folder / "boards.html")
         write_view(plan_view(str(xfreqbench.load("office").path)).with_rays(), folder / "office")

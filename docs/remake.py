@@ -1,10 +1,12 @@
 """Makes BENCHMARK.md, docs/results and the table of README.md again, from the records that lie in `baselines/`.
 
-    python docs/remake.py [--page page.html] [RESULTS FOLDER …]
+    python docs/remake.py [--page page.html] [--add] [RESULTS FOLDER …]
 
 With results folders, as `xfreqbench benchmark` leaves them, their records first replace those of
-`baselines/reference_results.jsonl`, and their maps those that are shipped beside them. Run it then where the benchmark
-was run: maps are shipped with the truth, which is read from the data sets where they lay.
+`baselines/reference_results.parquet`, and their maps those that are shipped beside them. Run it then where the
+benchmark was run: maps are shipped with the truth, which is read from the data sets where they lay. With `--add`, the
+records are added to those that are there, and maps stay as they are. What methods say that they have learned
+(`findings`) is on no page, and is left out.
 """
 
 from __future__ import annotations
@@ -24,19 +26,26 @@ from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.paper import ship_maps
 from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
 from xfreqbench.report.leaderboard.results import read_results, results_at
+from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.record_table import write_table
+from xfreqbench.runs.records import StoredRecords
 
 ROOT = Path(__file__).resolve().parents[1]
-RECORDS = [ROOT / "baselines" / f"{name}_results.jsonl" for name in ("reference", "paper_size", "unseen_rooms")]
+RECORDS = [ROOT / "baselines" / f"{name}_results.parquet" for name in ("reference", "paper_size", "unseen_rooms")]
 BY_HAND = "paper-size.md"  # among the pages of results
 # What is generated in BENCHMARK.md has marks of its own, so that no other `xfreqbench report` replaces it.
 MARKS = {BEGIN: "<!-- docs/remake.py: begin -->", END: "<!-- docs/remake.py: end -->"}
 TABLE = re.compile(r"(?<=<!-- leaderboard -->\n).*?(?=\n<!-- /leaderboard -->)", re.DOTALL)
 
 
-def take(folders: list[Path]) -> None:
-    """Replace the reference records by those of results folders, and the maps beside them."""
-    ship_maps(folders, RECORDS[0].with_name("reference_results_maps.jsonl"))
-    RECORDS[0].write_bytes(b"".join((folder / "records.jsonl").read_bytes() for folder in folders))
+def take(folders: list[Path], add: bool = False) -> None:
+    """Replace the reference records by those of results folders, and the maps beside them; or add the records."""
+    if not add:
+        ship_maps(folders, RECORDS[0].with_name("reference_results_maps.jsonl"))
+    found = [ResultsFolder.holding(path).stored for path in (RECORDS[:1] if add else []) + folders]
+    runs = [record.model_copy(update={"findings": {}}) for stored in found for record in stored.records]
+    benches = [bench for stored in found for bench in stored.benches]
+    write_table(RECORDS[0], StoredRecords(tuple(runs), tuple(benches)))
 
 
 def readme_table(boards: Sequence[Board]) -> str:
@@ -97,7 +106,8 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--page", type=Path)
+    parser.add_argument("--add", action="store_true")
     given = parser.parse_args()
     if given.folders:
-        take(given.folders)
+        take(given.folders, given.add)
     remake(ROOT, given.page)

@@ -36,14 +36,6 @@ def test_the_same_records_come_back(stored: StoredRecords, tmp_path: Path) -> No
     assert read_records(path) == stored.records
 
 
-def test_of_other_metrics_than_ssim_and_psnr_there_are_no_quantiles(tmp_path: Path) -> None:
-    record = make_record(scores={"ssim": make_summary(0.5), "aoa_error": make_summary(3.0)})
-    write_table(tmp_path / "records.parquet", StoredRecords((record,)))
-    scores = read_table(tmp_path / "records.parquet").records[0].scores
-    assert scores["ssim"] == record.scores["ssim"]
-    assert scores["aoa_error"] == record.scores["aoa_error"].model_copy(update={"quantiles": []})
-
-
 def test_what_is_damaged_or_something_else_is_refused(stored: StoredRecords, tmp_path: Path) -> None:
     path, other = tmp_path / "records.parquet", tmp_path / "other.parquet"
     write_table(path, stored)

@@ -28,7 +28,7 @@ import h5py
 ROOT = Path(__file__).parents[2]
 SOLVERS = ("image", "sionna")
 ONE_THREAD = dict.fromkeys(["OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"], "1")
-REPORT = f"report {ROOT}/baselines/reference_results.jsonl -o BENCHMARK.md"
+REPORT = f"report {ROOT}/baselines/reference_results.parquet -o BENCHMARK.md"
 
 
 def store(folder: Path) -> None:

@@ -12,15 +12,13 @@ from xfreqbench.errors import DataError
 from xfreqbench.runs.records import BenchRecord, RunRecord, StoredRecords, fault_of_fields
 from xfreqbench.system.files import atomic_path, read_bytes, storage_errors
 
-_KEPT = ("ssim", "psnr")  # metrics whose quantiles are in a table
-
 
 def write_table(path: Path, stored: StoredRecords) -> None:
-    """Write runs, and tables of measurements, as a Parquet file; `read_table` reads the same but for some quantiles.
+    """Write runs, and tables of measurements, as a Parquet file.
 
     A column has a field of `RunRecord`, as JSON where it is neither a number nor a text. `ssim` (int16) has the scores
-    of all test samples in units of 1e-4, and `num_samples` how many of them each transmitter has, or each room. Of
-    other metrics than SSIM and PSNR there are no quantiles. Raises `StorageError`.
+    of all test samples in units of 1e-4, and `num_samples` how many of them each transmitter has, or each room.
+    Raises `StorageError`.
     """
     import pyarrow
     import pyarrow.parquet
@@ -28,8 +26,6 @@ def write_table(path: Path, stored: StoredRecords) -> None:
     rows = []
     for record in stored.records:
         row = record.model_dump(mode="json", exclude={"ssim_by_tx"})
-        for name, summary in row["scores"].items():
-            summary["quantiles"] = summary["quantiles"] if name in _KEPT else []
         row |= {name: json.dumps(value) for name, value in row.items() if isinstance(value, dict | list)}
         ssim = np.concatenate([np.zeros(0), *map(np.asarray, record.ssim_by_tx)])
         row |= {"ssim": np.rint(ssim * 1e4).astype(np.int16), "num_samples": [*map(len, record.ssim_by_tx)]}

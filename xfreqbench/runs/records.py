@@ -104,12 +104,6 @@ def _pack_by_tx(scores: tuple[tuple[float, ...], ...]) -> list[Any]:
     return [pack([len(of_transmitter) for of_transmitter in scores], 1), pack(every, _STEP)]
 
 
-def _all_or_none(quantiles: list[float]) -> list[float]:
-    if len(quantiles) not in (0, NUM_QUANTILES):
-        raise ValueError(f"there are {len(quantiles)} quantiles, and not {NUM_QUANTILES}")
-    return quantiles
-
-
 def _unpacked_quantiles(packed: Any, validate: Callable[[Any], list[float]]) -> list[float]:
     """Quantiles from their text, or whatever else `validate` takes; a text needs no look at each number."""
     found = unpack(packed, _STEP)
@@ -139,7 +133,7 @@ Score = Annotated[float, AfterValidator(partial(round, ndigits=8))]
 FiniteScore = Annotated[Score, Field(allow_inf_nan=False)]
 Quantiles = Annotated[
     list[Annotated[float, AfterValidator(partial(round, ndigits=4))]],
-    AfterValidator(_all_or_none),
+    Field(min_length=NUM_QUANTILES, max_length=NUM_QUANTILES),
     WrapValidator(_unpacked_quantiles),
     PlainSerializer(partial(pack, step=_STEP), when_used="json"),
 ]
@@ -177,7 +171,7 @@ class Job:
 
 
 class Summary(BaseModel):
-    """One metric over the test samples: `p10` is the 10 % quantile, `quantiles` are those of 0, 1, … 100 %, or none."""
+    """One metric over the test samples: `p10` is the 10 % quantile, `quantiles` are those of 0, 1, … 100 %."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 

@@ -18,7 +18,7 @@ from xfreqbench.report.leaderboard.boards import boards, machine_name
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.report.leaderboard.side_by_side import compare_results
 from xfreqbench.runs.benchmark import Benchmark, plan_benchmark
-from xfreqbench.runs.records import read
+from xfreqbench.runs.folder import read_records
 
 RECIPE = "1-" + "3f9c2ab1" * 8
 OTHER = {
@@ -105,7 +105,7 @@ def test_results_of_two_machines_are_compared_side_by_side(tmp_path: Path) -> No
 def test_the_reference_records_are_of_the_data_that_the_standard_benchmark_generates(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reference = boards(read(ROOT / "baselines" / "reference_results.jsonl").records)
+    reference = boards(read_records(ROOT / "baselines" / "reference_results.parquet"))
     benchmark, scenes = plan_benchmark("standard", tmp_path, tmp_path), {board.scene for board in reference}
     assert {"office", "two_rooms"} <= scenes <= set(benchmark.scenes)
     monkeypatch.setattr(Benchmark, "scenes", scenes)  # others are not planned

@@ -128,9 +128,9 @@ def test_a_board_is_at_an_address_or_a_frozen_version(tmp_path: Path, monkeypatc
         server.content = (tmp_path / "records.jsonl").read_bytes()
         assert "later" in str(xb.leaderboard(server.url))  # a board grows: it is asked for anew
     frozen = results_at("v1")
-    assert frozen.name == "v1.jsonl" and results_at(tmp_path / "v1") == tmp_path / "v1"
-    (tmp_path / VERSIONS).write_text(f"v1.jsonl {pooch.file_hash(frozen)}")
-    (tmp_path / "v1.jsonl").write_text("")
+    assert frozen.name == "v1.parquet" and results_at(tmp_path / "v1") == tmp_path / "v1"
+    (tmp_path / VERSIONS).write_text(f"v1.parquet {pooch.file_hash(frozen)}")
+    (tmp_path / "v1.parquet").write_text("")
     monkeypatch.setattr("xfreqbench.report.leaderboard.results.files", lambda package: tmp_path)
     with pytest.raises(DataError, match="not the frozen version 'v1'"):
         results_at("v1")

@@ -55,7 +55,7 @@ def results_at(name: str | Path) -> Path:
     if text.startswith(("http://", "https://")):
         return fetch_file(text, _require_records, fresh=True, most_bytes=MOST_BYTES)
     folder = Path(str(files("xfreqbench.baselines")))
-    known = registered(folder / VERSIONS, ".jsonl")
+    known = registered(folder / VERSIONS, ".parquet")
     if text not in known or Path(text).exists():
         return Path(text)
     file, sha256, url = known[text]
