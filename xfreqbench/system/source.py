@@ -28,7 +28,8 @@ def method_sha256(modules: Iterable[str]) -> str:
     files = _files_of(f"{PACKAGE}.methods") | _files_of(f"{PACKAGE}.maps")
     for module in modules:
         top, path = module.partition(".")[0], getattr(sys.modules.get(module), "__file__", None)
-        if path is None or (Path(path).is_relative_to(get_path("stdlib")) and "site-packages" not in Path(path).parts):
+        is_installed = path is not None and "site-packages" in Path(path).parts
+        if path is None or (Path(path).is_relative_to(get_path("stdlib")) and not is_installed):
             continue
         if top == PACKAGE:
             singles = {name: file for name, file in _files_of(_BASELINES).items() if name.count("/") == 2}
@@ -37,7 +38,8 @@ def method_sha256(modules: Iterable[str]) -> str:
         elif hasattr(sys.modules.get(top), "__path__"):
             files |= _files_of(top)
         else:
-            files |= {file.name: file for file in Path(path).parent.glob("*.py")}
+            beside = [Path(path)] if is_installed else Path(path).parent.glob("*.py")
+            files |= {file.name: file for file in beside}
     return _sha256(files)
 
 
