@@ -68,6 +68,26 @@ def test_who_compiles_computes_the_digits_of_who_finds_it_compiled(tmp_path: Pat
     assert not (folder / "imported").exists()
 
 
+def test_a_kernel_is_compiled_again_where_the_type_of_its_argument_has_another_name(tmp_path: Path) -> None:
+    code = """
+from typing import NamedTuple
+from xfreqbench.system.kernels import entry
+
+class NAME(NamedTuple):
+    x: float
+
+@entry("NAME")
+def first(pair):
+    return pair.x
+"""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    for name in ("Old", "New"):
+        (tmp_path / "pairs.py").write_text(code.replace("NAME", name))
+        use = [sys.executable, "-c", f"import pairs; print(pairs.first(pairs.{name}(2.5)))"]
+        done = subprocess.run(use, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+        assert done.stdout == "2.5\n"
+
+
 def test_where_no_cache_can_be_written_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def no_locator(_: object) -> None:
         raise RuntimeError("cannot cache function: no locator available")

@@ -24,8 +24,10 @@ def literal(text: str) -> str:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table whose columns are as wide as their cells, so that it can be read in a terminal too."""
+    """A Markdown table whose columns are as wide as their cells, for a terminal too; `None.` where it has no row."""
     lines = [[literal(cell) for cell in row] for row in (header, *rows)]
+    if len(lines) == 1:
+        return "None."
     widths = [max(3, *map(len, column)) for column in zip(*lines, strict=True)]
     lines.insert(1, ["-" * width for width in widths])
     padded = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in lines]

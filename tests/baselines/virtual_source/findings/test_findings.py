@@ -293,6 +293,6 @@ def test_names_from_a_scene_are_no_markup_and_steer_no_terminal(tmp_path: Path) 
 
 
 def test_no_planes_at_all_still_make_a_report(dataset: PasDataset, tmp_path: Path) -> None:
-    result = compared(dataset)
-    write_findings(result, tmp_path)
+    text = write_findings(compared(dataset), tmp_path)
+    assert text.count("None.") == 3  # planes that were found, slabs, and how they reflect
     assert {path.name for path in tmp_path.iterdir()} == {TEXT, MODEL}
