@@ -23,7 +23,6 @@ from xfreqbench.cli.options import (
     say_written,
     with_help,
 )
-from xfreqbench.data.dataset import links
 from xfreqbench.data.options import GenerateOptions
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.units import PAPER_CARRIERS_GHZ
@@ -169,7 +168,7 @@ def info(
     A data set is compared with the fingerprint of its scene, too.
     """
     from xfreqbench.data.collection import open_collection
-    from xfreqbench.data.dataset import open_dataset, verify
+    from xfreqbench.data.dataset import links, open_dataset, verify
     from xfreqbench.data.fingerprint import compare_fingerprint
     from xfreqbench.data.retrace import drawn_rows, require_origin
     from xfreqbench.report.view.describe import describe

@@ -29,10 +29,7 @@ from xfreqbench.system.machine import (
 )
 
 __all__ = ["app", "data", "exchange", "main", "measure", "runs"]  # importing a file adds its commands
-_WIDTHS = 20, 1000  # columns of text: narrower, a help text never ends; wider, it fills the memory
-_MOMENT_S = 0.01
 _LOADING = ExtensionFileLoader.create_module.__code__, ExtensionFileLoader.exec_module.__code__
-_LEAST_MIB = 200  # with less, OpenBLAS and LLVM end the process, or wait for ever, where they are loaded
 _IGNORED = add_plugin_commands(app)  # after the commands of our own
 
 
@@ -51,7 +48,8 @@ def main() -> None:
         require_working_folder()
         require_thread_count()
         now()  # which no clock may make impossible once the work is done
-        require_memory(_LEAST_MIB, "This command")
+        # with less, OpenBLAS and LLVM end the process, or wait for ever, where they are loaded
+        require_memory(200, "This command")
         with interruptions_kept(), announcing(not {"--quiet", "-q"} & {*sys.argv}):
             if sys.argv[1:2] in ([], ["--help"], ["-h"]):
                 app.resolved_commands()  # imports plug-ins, so that help describes their commands
@@ -107,7 +105,7 @@ def interruptions_kept() -> Iterator[None]:
             raise KeyboardInterrupt
 
     def look_after() -> None:
-        threading.Timer(_MOMENT_S, press_again).start()  # here it would be lost again
+        threading.Timer(0.01, press_again).start()  # here it would be lost again
 
     def press_again() -> None:
         raised = sys._current_exceptions()[main_thread]
@@ -150,7 +148,7 @@ def _discard_output() -> None:
 
 def _bound_console_width() -> None:
     """Have tables, bars and help texts drawn for a sensible width, whatever `COLUMNS` or the terminal say."""
-    low, high = _WIDTHS
+    low, high = 20, 1000  # narrower, a help text never ends; wider, it fills the memory
     width = shutil.get_terminal_size().columns
     if "COLUMNS" in os.environ or not low <= width <= high:
         os.environ["COLUMNS"] = str(min(max(width, low), high))

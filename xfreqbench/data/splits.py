@@ -73,8 +73,6 @@ SPARSE_TRAINING_GHZ = ((10.0, 37.0), (10.0, 37.0, 94.0), (1.0, 10.0, 37.0, 60.0,
 UNSEEN_SHARE = 0.2  # of the transmitters, or of the samples
 NUM_BLOCKS = 10  # regions of the floor, each with as many transmitters
 BLOCK_MARGIN_M = 0.5
-SAME_CARRIER = 1e-8  # of its frequency
-_SEED = 0  # of whatever is drawn
 
 Known = TypeVar("Known")
 Mask = Bool[NDArray[np.bool_], "N"]
@@ -233,8 +231,6 @@ def _held_out_receiver_splits(dataset: PasDataset) -> list[Split]:
 PROTOCOLS = ("lofo", "sparse", "held-out-tx", "lofo-unseen-tx", "held-out-block", "random-samples")  # of any file
 HELD_OUT_RECEIVER = "held-out-receiver"  # of a file with several
 VALIDATIONS = {f"{protocol}-validation": protocol for protocol in PROTOCOLS}
-_BY_TARGET = ("lofo", "lofo-unseen-tx")
-_AT_UNSEEN_CARRIERS, _OF_UNSEEN_TX = ("lofo", "sparse", "lofo-unseen-tx"), ("held-out-tx", "lofo-unseen-tx")
 
 
 def protocols() -> list[str]:
@@ -257,7 +253,7 @@ def make_splits(
     """
     if protocol not in protocols():
         raise UnknownNameError("protocol", protocol, protocols())
-    if protocol in _BY_TARGET:
+    if protocol in ("lofo", "lofo-unseen-tx"):
         if targets_ghz == "all":
             targets_hz = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
         else:
@@ -270,7 +266,8 @@ def make_splits(
     elif protocol == HELD_OUT_RECEIVER:
         splits = _held_out_receiver_splits(dataset)
     else:
-        masks = _MASKS[protocol](dataset, np.ones(len(dataset), bool), UNSEEN_SHARE)
+        of = {"held-out-tx": _tx_masks, "held-out-block": _block_masks, "random-samples": _sample_masks}
+        masks = of[protocol](dataset, np.ones(len(dataset), bool), UNSEEN_SHARE)
         splits = [Split.of(dataset, protocol, protocol, *masks)]
     if on == "test":
         return splits
@@ -290,7 +287,7 @@ def find_split(dataset: PasDataset, protocol: str, name: str) -> Split:
     if protocol in VALIDATIONS:
         tested = VALIDATIONS[protocol]
         return _validation_split(dataset, find_split(dataset, tested, tested + name.removeprefix(protocol)))
-    if protocol in _BY_TARGET:  # only this split is made, because another carrier may be without any path
+    if protocol in ("lofo", "lofo-unseen-tx"):  # only this split is made: another carrier may be without any path
         targets = {_target_name(dataset, protocol, target): target for target in np.unique(dataset.carrier_hz).tolist()}
         return _lofo_splits(dataset, protocol, [_named(targets, protocol, name)])[0]
     return _named({split.name: split for split in make_splits(dataset, protocol)}, protocol, name)
@@ -310,7 +307,7 @@ def _target_name(dataset: PasDataset, protocol: str, target_hz: float) -> str:
 
 def _is_alike(carrier_hz: Float[FloatArray, "n"], target_hz: float) -> Bool[NDArray[np.bool_], "n"]:
     """Whether the maps of carriers are those at the target, for they agree with it in about nine digits."""
-    return np.isclose(carrier_hz, target_hz, rtol=SAME_CARRIER, atol=0)
+    return np.isclose(carrier_hz, target_hz, rtol=1e-8, atol=0)
 
 
 def _lofo_splits(dataset: PasDataset, protocol: str, targets_hz: Sequence[float]) -> list[Split]:
@@ -344,7 +341,7 @@ def _tx_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[Mask
     """Which of the offered samples are trained on, and which are tested: those of a share of the transmitters."""
     places = place_index(dataset)
     number = max(1, round(share * len(np.unique(places))))
-    unseen = np.isin(places, drawn_tx(dataset, np.random.default_rng(_SEED), number))
+    unseen = np.isin(places, drawn_tx(dataset, np.random.default_rng(0), number))
     return is_offered & ~unseen, is_offered & unseen
 
 
@@ -354,12 +351,12 @@ def _sample_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[
     Samples of one place at carriers that agree in nine digits are one.
     """
     carrier_hz, carrier = np.unique(dataset.carrier_hz, return_inverse=True)
-    is_new = ~np.isclose(carrier_hz[1:], carrier_hz[:-1], rtol=SAME_CARRIER, atol=0)
+    is_new = ~np.isclose(carrier_hz[1:], carrier_hz[:-1], rtol=1e-8, atol=0)
     sample = place_index(dataset) * len(carrier_hz) + np.concatenate([[0], np.cumsum(is_new)])[carrier]
     offered = np.flatnonzero(is_offered)
     first = offered[np.sort(np.unique(sample[offered], return_index=True)[1])]
     number = max(1, round(share * len(first)))
-    tested = np.random.default_rng(_SEED).permutation(first)[:number]
+    tested = np.random.default_rng(0).permutation(first)[:number]
     is_tested = is_offered & np.isin(sample, sample[tested])
     return is_offered & ~is_tested, is_tested
 
@@ -376,14 +373,11 @@ def _block_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[M
     position_m = dataset.tx_position_m[is_offered][first]
     num_blocks = min(NUM_BLOCKS, len(places))
     num_tested = max(1, round(share * num_blocks))
-    tested = np.random.default_rng(_SEED).permutation(num_blocks)[:num_tested]
+    tested = np.random.default_rng(0).permutation(num_blocks)[:num_tested]
     is_tested = np.isin(blocks(position_m[:, :2], num_blocks), tested)
     is_near = KDTree(position_m[is_tested]).query(position_m)[0] < BLOCK_MARGIN_M
     trained, tested = places[~is_tested & ~is_near], places[is_tested]
     return np.isin(place_index(dataset), trained), np.isin(place_index(dataset), tested)
-
-
-_MASKS = {"held-out-tx": _tx_masks, "held-out-block": _block_masks, "random-samples": _sample_masks}
 
 
 def blocks(position_m: Float[FloatArray, "T 2"], number: int) -> Int[IntArray, "T"]:
@@ -426,13 +420,13 @@ def _unseen_masks(dataset: PasDataset, split: Split, name: str, is_offered: Mask
     at_held_out = np.isin(dataset.carrier_hz, train.carrier_hz)
     of_held_out = np.isin(place_index(dataset), place_index(train))
     is_left = is_offered
-    if split.protocol in _AT_UNSEEN_CARRIERS:
+    if split.protocol in ("lofo", "sparse", "lofo-unseen-tx"):
         held_out_hz = _validation_carrier_hz(train, name, dataset.carrier_hz[split.test[0]])
         at_held_out = dataset.carrier_hz == held_out_hz
         is_left = is_left & ~_is_alike(dataset.carrier_hz, held_out_hz)
-    if split.protocol in _OF_UNSEEN_TX:
+    if split.protocol in ("held-out-tx", "lofo-unseen-tx"):
         _require_training_tx(train, name)
-        of_held_out = np.isin(place_index(dataset), validation_tx(train, np.random.default_rng(_SEED)))
+        of_held_out = np.isin(place_index(dataset), validation_tx(train, np.random.default_rng(0)))
         is_left = is_left & ~of_held_out
     return is_left, at_held_out & of_held_out
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -15,13 +17,18 @@ LEAST_TRAINING_TX, LEAST_TRAINING_CARRIERS = 10, 3  # with fewer, nothing is hel
 
 def place_index(dataset: PasDataset) -> Int[IntArray, "N"]:
     """Index of the first transmitter at each sample's place: those within a millimetre of each other have one."""
+    return _first_at_place(dataset.tables["tx_position_m"].tobytes())[dataset.tx_index]
+
+
+@lru_cache(maxsize=8)
+def _first_at_place(tx_position_m: bytes) -> Int[IntArray, "T"]:
     from scipy.spatial import KDTree
 
-    position_m, of_tx = np.unique(dataset.tables["tx_position_m"], axis=0, return_inverse=True)
+    position_m, of_tx = np.unique(np.frombuffer(tx_position_m).reshape(-1, 3), axis=0, return_inverse=True)
     near = KDTree(position_m).query_pairs(1e-3, output_type="ndarray")
     place_of_tx = components(near[:, 0], near[:, 1], len(position_m))[of_tx.ravel()]
     _, first, place = np.unique(place_of_tx, return_index=True, return_inverse=True)
-    return first[place][dataset.tx_index]
+    return first[place]
 
 
 def inner_carriers_hz(train: PasDataset) -> Float[FloatArray, "F"]:
