@@ -1,25 +1,14 @@
 from __future__ import annotations
 
 import math
+import sys
+import time
 
 import numpy as np
 import pytest
 
-from tests.support import stub_methods
 from tests.support.clock import Clock, set_clock
-from tests.support.stub_methods import (
-    Delegating,
-    Endless,
-    EndlessConfig,
-    Loose,
-    Losing,
-    Plain,
-    Resumed,
-    Short,
-    Silent,
-    Told,
-    Untidy,
-)
+from tests.support.stub_methods import Endless, Short
 from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
@@ -35,46 +24,81 @@ def train(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    return set_clock(monkeypatch, fitting, stub_methods)
+    return set_clock(monkeypatch, fitting, sys.modules[__name__])
 
 
-def test_the_budget_in_steps_is_kept_exactly_and_the_generator_closed(train: PasDataset) -> None:
-    method = Endless()
-    fit = fit_within(method, train, Budget(max_steps=5), seed=0)
-    assert (fit.step, fit.loss) == (5, 0.2)
-    assert method.closed
+class Resumed(Endless):
+    """Goes on after `step`, a second each."""
+
+    step = 0
+
+    def fit(self, train, budget, seed):
+        try:
+            while True:
+                time.sleep(1)
+                self.step += 1
+                yield Progress(self.step, 1 / self.step, {"maps": 16 * self.step})
+        finally:
+            self.closed = True
 
 
-def test_the_budget_in_seconds_ends_training_with_the_step_that_crosses_it(train: PasDataset, clock: Clock) -> None:
-    method = Endless(EndlessConfig(pause_s=2))
-    fit = fit_within(method, train, Budget(max_seconds=5), seed=0)
-    assert (fit.step, fit.seconds, fit.share) == (3, 6, 6 / 5)
-    assert method.closed
+@pytest.mark.parametrize(
+    ("budget", "step", "share"),
+    [(Budget(max_steps=5), 5, 1), (Budget(max_seconds=4.5), 5, 5 / 4.5), (Budget(max_maps=40), 3, 48 / 40)],
+)
+def test_a_budget_ends_training_with_the_step_that_reaches_it(
+    train: PasDataset, clock: Clock, budget: Budget, step: int, share: float
+) -> None:
+    method = Resumed()
+    fit = fit_within(method, train, budget, seed=0)
+    assert fit == Fit(step, 1 / step, float(step), share, {"maps": 16 * step})
+    assert (fit.maps, method.closed) == (16 * step, True)
+    assert fit_within(method, train, budget, seed=0, spent=fit) is fit
 
 
-def test_a_method_is_told_the_spent_share_of_its_budget(train: PasDataset) -> None:
+class Told(Endless):
+    """Remembers the shares of the budget that it is told."""
+
+    def fit(self, train, budget, seed):
+        self.shares = []
+        for step in range(1, 9):
+            time.sleep(1)
+            self.shares.append((yield Progress(step, math.nan)))
+
+
+@pytest.mark.parametrize(
+    ("budget", "shares"),
+    [
+        (Budget(max_steps=4), [0.25, 0.5, 0.75]),  # at the fourth it is over
+        (Budget(max_seconds=10), [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]),
+        (Budget(), [0.0] * 8),
+    ],
+)
+def test_a_method_is_told_the_spent_share_of_its_budget(
+    train: PasDataset, clock: Clock, budget: Budget, shares: list[float]
+) -> None:
     method = Told()
-    fit = fit_within(method, train, Budget(max_steps=4), seed=0)
-    assert method.shares == [0.25, 0.5, 0.75]  # at the fourth it is over
-    assert fit.share == 1
-    fit_within(method, train, Budget(), seed=0)
-    assert method.shares == [0.0] * 8
+    assert fit_within(method, train, budget, seed=0).share == (1 if budget.max_steps else shares[-1])
+    assert method.shares == shares
 
 
-def test_a_method_is_told_the_share_of_its_time(train: PasDataset, clock: Clock) -> None:
-    method = Told(EndlessConfig(pause_s=1))
-    fit_within(method, train, Budget(max_seconds=10), seed=0)
-    assert method.shares == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+class Plain(Endless):
+    """Its `fit` is no generator, but a plain iterator."""
+
+    def fit(self, train, budget, seed):
+        return iter([Progress(1, 1.0), Progress(2, 0.5)])
+
+
+class Delegating(Endless):
+    """A generator that leaves its yields to an iterator that takes no share."""
+
+    def fit(self, train, budget, seed):
+        yield from map(Progress, (1, 2, 3), (1.0, 0.5, 0.25))
 
 
 @pytest.mark.parametrize(("method", "step"), [(Plain(), 2), (Delegating(), 3)])
 def test_an_iterator_that_takes_no_share_is_a_fit_too(train: PasDataset, method: Endless, step: int) -> None:
     assert fit_within(method, train, Budget(max_steps=100), seed=0).step == step
-
-
-def test_the_last_counts_are_those_of_the_fit(train: PasDataset) -> None:
-    fit = fit_within(Resumed(), train, Budget(max_steps=3), seed=0)
-    assert fit.counts == {"gaussians": 30}
 
 
 def test_an_observer_sees_every_step_and_its_time_is_not_charged(train: PasDataset, clock: Clock) -> None:
@@ -89,35 +113,39 @@ def test_an_observer_sees_every_step_and_its_time_is_not_charged(train: PasDatas
     assert fit.seconds == 0
 
 
+class Untidy(Short):
+    """Takes its time when it is closed."""
+
+    def fit(self, train, budget, seed):
+        try:
+            yield from super().fit(train, budget, seed)
+        finally:
+            time.sleep(1)
+
+
 def test_the_cleanup_of_a_method_is_charged(train: PasDataset, clock: Clock) -> None:
-    assert fit_within(Untidy(EndlessConfig(pause_s=1)), train, Budget(max_steps=1), seed=0).seconds == 1
+    assert fit_within(Untidy(), train, Budget(max_steps=1), seed=0).seconds == 1
 
 
-def test_a_fit_that_goes_on_spends_what_is_left_of_its_budget(train: PasDataset, clock: Clock) -> None:
-    method, seen = Resumed(EndlessConfig(pause_s=1)), []
-    method.step = 5
-    spent = Fit(step=5, loss=1.0, seconds=100.0, share=0.5)
-    fit = fit_within(
-        method, train, Budget(max_steps=10), seed=0, spent=spent, observe=lambda *change: seen.append(change)
-    )
-    assert seen[0][0] == spent
-    assert [now.step for _, now in seen] == [6, 7, 8, 9, 10]
-    assert fit.seconds == 100 + 5
+@pytest.mark.parametrize(("loaded", "first", "seconds"), [(5, 6, 105), (0, 1, 10)], ids=["goes on", "starts anew"])
+def test_a_fit_that_goes_on_spends_the_rest_and_one_that_starts_anew_is_not_charged_for_what_was_lost(
+    train: PasDataset, clock: Clock, loaded: int, first: int, seconds: float
+) -> None:
+    method, seen, spent = Resumed(), [], Fit(step=5, loss=1.0, seconds=100.0, share=0.5)
+    method.step = loaded
+    fit = fit_within(method, train, Budget(max_steps=10), 0, spent=spent, observe=lambda *change: seen.append(change))
+    assert seen[0][0] == (spent if loaded else None)
+    assert [now.step for _, now in seen] == [*range(first, 11)]
+    assert fit.seconds == seconds
 
 
-def test_a_fit_whose_budget_is_spent_takes_no_step(train: PasDataset) -> None:
-    spent = Fit(step=5, loss=1.0, seconds=100.0, share=1.0)
-    for budget in (Budget(max_steps=5), Budget(max_seconds=100)):
-        assert fit_within(Silent(), train, budget, seed=0, spent=spent) is spent
+class Losing(Endless):
+    """Yields the losses it is given."""
 
+    losses: tuple[float, ...] = ()
 
-def test_a_method_that_starts_anew_is_not_charged_for_what_was_lost(train: PasDataset, clock: Clock) -> None:
-    seen, spent = [], Fit(step=5, loss=1.0, seconds=100.0)
-    method = Resumed(EndlessConfig(pause_s=1))
-    fit = fit_within(method, train, Budget(max_steps=7), 0, spent=spent, observe=lambda *change: seen.append(change))
-    assert seen[0][0] is None
-    assert [now.step for _, now in seen] == [1, 2, 3, 4, 5, 6, 7]
-    assert fit.seconds == 7
+    def fit(self, train, budget, seed):
+        yield from map(Progress, range(1, 9), self.losses)
 
 
 @pytest.mark.parametrize(
@@ -136,17 +164,23 @@ def test_a_loss_that_is_no_longer_finite_is_a_divergence(
     assert fit_within(method, train, Budget(), seed=0).step == 3
 
 
-class Counting(Endless):
+class Yielding(Endless):
+    """Yields what it is given."""
+
+    def __init__(self, *yields: object) -> None:
+        super().__init__()
+        self.yields = yields
+
     def fit(self, train, budget, seed):
-        yield Progress(1, 1.0, {"\udcff": 1.0})
+        yield from self.yields
 
 
 @pytest.mark.parametrize(
     ("method", "words"),
     [
-        (Silent(), r"Silent\.fit yielded nothing"),
-        (Loose(), r"Loose\.fit yielded 0\.5;"),
-        (Counting(), r"Counting\.fit yielded the count"),  # whose name is no text
+        (Yielding(), r"Yielding\.fit yielded nothing"),
+        (Yielding(0.5), r"Yielding\.fit yielded 0\.5;"),
+        (Yielding(Progress(1, 1.0, {"\udcff": 1.0})), r"Yielding\.fit yielded the count"),  # whose name is no text
         (Endless(), r"64000 maps, but Endless\.fit does not tell"),
     ],
 )
@@ -172,18 +206,6 @@ def test_predictions_that_break_the_contract_are_described(answer: object, words
     method.answer = answer
     with pytest.raises(MethodError, match=f"Endless.predict returned .*{words}"):
         predict_checked(method, np.zeros((2, 3)), np.full(2, 1e9), (90, 360))
-
-
-class Mapping16(Endless):
-    def fit(self, train, budget, seed):
-        for step in range(1, 100):
-            yield Progress(step, 1.0, {"maps": 16 * step})
-
-
-def test_a_budget_in_maps_ends_with_the_step_that_reaches_it(train: PasDataset) -> None:
-    fit = fit_within(Mapping16(), train, Budget(max_maps=40), seed=0)
-    assert (fit.step, fit.maps, fit.share) == (3, 48, 48 / 40)
-    assert fit_within(Mapping16(), train, Budget(max_maps=40), seed=0, spent=fit) is fit
 
 
 @pytest.mark.parametrize("count", [math.nan, "many", -1, True, None, 2.0, 10**400])

@@ -30,14 +30,10 @@ def test_a_method_is_found_as_module_and_class() -> None:
         ("no_such_module:Method", "cannot be imported"),
         ("xfreqbench.baselines.nearest:Absent", "cannot be imported"),
         (":Nearest", "cannot be imported"),
-        ("tests.support.stub_methods:Incomplete", "lacks predict, save, load"),
         ("tests.support.synthetic:write_dataset", "must be a class"),
-        ("tests.support.stub_methods:WithoutConfig", "has no config"),
-        ("tests.support.stub_methods:WithoutDefault", "cannot be constructed without arguments.*with a default"),
-        ("tests.support.stub_methods:ConfiguredByADict", "must be an instance of a frozen dataclass"),
     ],
 )
-def test_what_is_no_method_is_told_what_it_lacks(name: str, words: str) -> None:
+def test_what_is_no_method_is_refused(name: str, words: str) -> None:
     with pytest.raises(MethodError, match=words):
         build_method(name)
 
@@ -56,6 +52,7 @@ def own_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str
 
 
 OF_CONTRACT = "fit = predict = save = load = None"
+CONFIGURED = "class Method(Short):\n    def __init__(self"
 
 
 @pytest.mark.parametrize(
@@ -77,9 +74,13 @@ OF_CONTRACT = "fit = predict = save = load = None"
             "class Method(Short):\n    num_parameters = property(lambda self: 1 / 0)",
             "failed in num_parameters: ZeroDivisionError",
         ),
+        ("class Method:\n    def fit(self, train, budget, seed): ...", "lacks predict, save, load"),
+        (f"{CONFIGURED}): ...", "has no config"),
+        (f"{CONFIGURED}, config): self.config = config", "cannot be constructed without arguments.*with a default"),
+        (f"{CONFIGURED}, config=0): self.config = {{}}", "must be an instance of a frozen dataclass"),
     ],
 )
-def test_a_method_that_fails_or_ends_the_process_before_its_fit_is_an_error(
+def test_a_method_that_fails_lacks_a_part_or_ends_the_process_before_its_fit_is_an_error(
     code: str, words: str, own_module: Callable[[str], str]
 ) -> None:
     with pytest.raises(MethodError, match=words):

@@ -7,6 +7,7 @@ import math
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from pydantic_core import from_json
@@ -183,36 +184,30 @@ def test_a_fit_that_goes_on_while_its_checkpoint_is_read_is_not_called_damaged(
     assert folder.read().step == 2
 
 
-def test_a_kill_while_a_checkpoint_is_written_leaves_the_one_before(
-    folder: CheckpointFolder, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def killed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    def while_it_calls(module: object, name: str, call: Callable[..., None], *given: object) -> None:
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(module, name, Mock(side_effect=KeyboardInterrupt))
+            call(*given)
+
+    return while_it_calls
+
+
+def test_a_kill_leaves_the_checkpoint_before_or_the_new_one_and_never_a_half(
+    folder: CheckpointFolder, killed: Callable[..., None]
 ) -> None:
     save(folder, 1)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(json, "dumps", _raise_interrupt)  # the maps are saved by then
-        save(folder, 2)
+    killed(json, "dumps", save, folder, 2)  # the maps are saved by then
     assert folder.read().step == 1
     save(folder, 3)
     assert (names(folder), folder.read().step) == (["2"], 3)
-
-
-def test_a_kill_while_the_old_checkpoint_is_removed_leaves_the_new_one(
-    folder: CheckpointFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    save(folder, 1)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(shutil, "rmtree", _raise_interrupt)
-        save(folder, 2)
+    killed(shutil, "rmtree", save, folder, 4)  # of the old one
     half, new = names(folder)
-    assert (half.endswith(".partial"), new, folder.read().step) == (True, "2", 2)
-    save(folder, 3)
-    assert names(folder) == ["3"]
-
-
-def test_what_is_removed_is_never_found_half(folder: CheckpointFolder, monkeypatch: pytest.MonkeyPatch) -> None:
-    save(folder, 1)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(shutil, "rmtree", _raise_interrupt)
-        folder.remove()
+    assert (half.endswith(".partial"), new, folder.read().step) == (True, "3", 4)
+    save(folder, 5)
+    assert names(folder) == ["4"]
+    killed(shutil, "rmtree", folder.remove)
     assert folder.read() is None
     folder.remove()
     assert list(folder.path.parent.iterdir()) == []
@@ -228,10 +223,6 @@ def test_what_somebody_else_has_put_there_is_not_removed(folder: CheckpointFolde
     with pytest.raises(DataError, match="and is not removed"):
         folder.remove()
     assert theirs.read_text(encoding="utf-8") == "years of work"
-
-
-def _raise_interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
 
 
 def test_a_link_in_a_checkpoints_place_is_not_followed(folder: CheckpointFolder, tmp_path: Path) -> None:

@@ -65,6 +65,7 @@ def test_times_are_those_of_the_budgets(dataset: PasDataset) -> None:
     steps, trivial = job(dataset, "aperture-gs", Budget(max_steps=9)), job(dataset, "nearest", fits[0].budget)
     assert Estimate(1, (fits[0],)).seconds == 300 + OVERHEAD_S
     assert Estimate(1, (trivial,)).seconds == Estimate(1, (steps,)).seconds == OVERHEAD_S
+    assert [in_hours(seconds) for seconds in (0, 420, 7500)] == ["1 min", "7 min", "2 h 05 min"]
     assert "2 fits without a budget in seconds come on top" in str(Estimate(3, (*fits, steps)))
     assert "of run time, shared by the workers of the cluster" in str(Estimate(1, (fits[0],), None))
 
@@ -75,8 +76,3 @@ def test_ten_minutes_are_long(dataset: PasDataset) -> None:
     assert Estimate(1, (long,)).is_long
     assert Estimate(3, (short,) * 3).is_long
     assert not Estimate(3, (short,) * 3, num_places=3).is_long
-
-
-@pytest.mark.parametrize(("seconds", "words"), [(0, "1 min"), (420, "7 min"), (7500, "2 h 05 min")])
-def test_times_are_told_in_hours_and_minutes(seconds: float, words: str) -> None:
-    assert in_hours(seconds) == words

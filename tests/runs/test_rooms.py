@@ -6,6 +6,7 @@ import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -78,26 +79,27 @@ def test_stored_sums_over_lags_are_scored_as_the_maps_that_were_predicted(result
     assert ResultsFolder(results).predictions_path(record.id).stat().st_size < 250_000
 
 
-def test_one_fit_serves_all_numbers_heard_and_finished_rooms_are_kept(
+def test_one_fit_serves_all_numbers_heard_and_finished_rooms_are_kept_unless_they_are_damaged(
     rooms: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    adapted, write = [], runner.write_answers
-    adapt = PerRoom.adapt
+    adapted, adapt = [], PerRoom.adapt
     monkeypatch.setattr(PerRoom, "adapt", lambda *given: adapted.append(1) or adapt(*given))
-
-    def killed(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(runner, "write_answers", killed)
-    with pytest.raises(KeyboardInterrupt):
-        run(rooms, "nearest", "unseen-rooms", tmp_path)
-    monkeypatch.setattr(runner, "write_answers", write)
-    assert len(adapted) == 1
-    records = run(rooms, "nearest", "unseen-rooms", tmp_path)
-    assert len(adapted) == 4  # of one room, of which four numbers are heard
-    assert len([*(tmp_path / "methods").iterdir()]) == 1
-    assert not [*(tmp_path / "checkpoints").iterdir()]
-    assert all(record.counts[answers.ROOM_SECONDS] > 0 for record in records)
+    whole = run(rooms, "nearest", "unseen-rooms", tmp_path / "whole")
+    for results, is_damaged in ((tmp_path / "kept", False), (tmp_path / "damaged", True)):
+        adapted.clear()
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(runner, "write_answers", Mock(side_effect=KeyboardInterrupt))
+            run(rooms, "nearest", "unseen-rooms", results)
+        assert len(adapted) == 1
+        (piece,) = results.glob("checkpoints/*/*.npz")
+        if is_damaged:
+            piece.write_bytes(piece.read_bytes()[:-100])
+        records = run(rooms, "nearest", "unseen-rooms", results)
+        assert len(adapted) == 4 + is_damaged  # of one room, of which four numbers are heard
+        assert [record.scores for record in records] == [record.scores for record in whole]
+        assert all(record.counts[answers.ROOM_SECONDS] > 0 for record in records)
+        assert len([*(results / "methods").iterdir()]) == 1
+        assert not [*(results / "checkpoints").iterdir()]
 
 
 @pytest.mark.slow
@@ -199,18 +201,3 @@ def test_a_method_that_learns_across_rooms_is_checked_and_asks_for_rooms(
         run(rooms, "nearest", "lofo", tmp_path)
     with pytest.raises(XFreqBenchError, match="The plan is not told"):
         run(rooms, "plan-tracer", "unseen-rooms", tmp_path)
-
-
-def test_a_damaged_room_is_predicted_again(rooms: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = run(rooms, "line-of-sight", "unseen-rooms", tmp_path / "whole")[0]
-
-    def killed(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(runner, "write_answers", killed)
-        with pytest.raises(KeyboardInterrupt):
-            run(rooms, "line-of-sight", "unseen-rooms", tmp_path)
-    (piece,) = tmp_path.glob("checkpoints/*/*.npz")
-    piece.write_bytes(piece.read_bytes()[:-100])
-    assert run(rooms, "line-of-sight", "unseen-rooms", tmp_path)[0].scores == whole.scores

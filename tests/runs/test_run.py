@@ -33,7 +33,7 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import read_predictions
 from xfreqbench.runs.records import Job
 from xfreqbench.runs.run import run
-from xfreqbench.system import files, machine
+from xfreqbench.system import files
 
 ON_A_TERMINAL = {"FORCE_COLOR": "1", "TTY_INTERACTIVE": "1", "COLUMNS": "200"}  # as Rich is told
 
@@ -234,15 +234,11 @@ def test_a_learning_curve_has_a_point_at_each_share_of_the_budget_and_at_the_end
     assert records.read(tmp_path / "records.jsonl").records[0].curve[1:] == record.curve[1:]
 
 
-def test_a_step_that_crosses_several_shares_is_one_point(dataset: PasDataset, tmp_path: Path) -> None:
-    record = run_stepwise(dataset, tmp_path, Budget(max_steps=6))
-    assert [point.step for point in record.curve] == [1, 2, 3, 6]  # shares of 1/6, 1/3, 1/2 and the end
-
-
 def test_a_learning_curve_is_not_charged(dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = set_clock(monkeypatch, fitting)
     monkeypatch.setattr(Stepwise, "sleep", clock.sleep)
     record = run_stepwise(dataset, tmp_path, Budget(max_steps=6))
+    assert [point.step for point in record.curve] == [1, 2, 3, 6]  # shares of 1/6, 1/3, 1/2 and the end
     assert record.fit_seconds == 0
     assert clock.now_s > 4  # points of the curve alone
 
@@ -301,33 +297,6 @@ def test_a_running_fit_is_shown(
     shown = " ".join(capsys.readouterr().err.split())
     assert "1 of 1 runs" in shown
     assert state in shown
-
-
-def test_a_process_pinned_to_one_core_has_one() -> None:
-    cores = os.sched_getaffinity(0)
-    try:
-        os.sched_setaffinity(0, {min(cores)})
-        assert machine.hardware.__wrapped__()["cores"] == "1"
-    finally:
-        os.sched_setaffinity(0, cores)
-
-
-@pytest.mark.parametrize(("name", "asked", "told"), [("OMP_NUM_THREADS", "1", "1"), ("NUMBA_NUM_THREADS", "64", None)])
-def test_fewer_threads_than_cores_are_told(
-    name: str, asked: str, told: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
-    for each in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        monkeypatch.delenv(each, raising=False)
-    monkeypatch.setenv(name, asked)
-    assert machine.hardware.__wrapped__().get("threads") == told
-
-
-def test_software_that_is_not_installed_has_no_version(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "_LIBRARIES", ("numpy", "no-such-library"))
-    machine.software.cache_clear()
-    assert machine.software().keys() == {"python", "numpy"}
-    machine.software.cache_clear()
 
 
 @pytest.mark.parametrize("num_rows", [0, 1])

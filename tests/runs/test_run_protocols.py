@@ -11,7 +11,6 @@ import xfreqbench as xb
 from tests.support.stub_methods import lofo_job, run_jobs
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError, RunsFailedError, UnknownNameError, XFreqBenchError
-from xfreqbench.methods.contract import Budget
 from xfreqbench.runs.run import Options
 
 TARGET = {"targets_ghz": [77.0]}
@@ -74,9 +73,12 @@ def test_a_budget_is_a_text_or_a_budget(dataset: PasDataset, tmp_path: Path) -> 
         assert record.job.budget == xb.Budget(max_steps=3)
 
 
-def test_names_and_subsets_are_refused_before_the_first_fit(dataset: PasDataset, tmp_path: Path) -> None:
+def test_names_and_subsets_are_refused_before_the_first_fit(
+    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(UnknownNameError, match="Did you mean 'nearest'"):
-        xb.run(dataset, ["nearest", "neares"], results=tmp_path, **TARGET)  # type: ignore[arg-type]
+        xb.run(dataset, ["nearest", "neares"], results=tmp_path, progress=True, budget="2h", targets_ghz="all")
+    assert not capsys.readouterr().err
     with pytest.raises(XFreqBenchError, match="subset of 2 of the"):
         xb.run(dataset[:2], "nearest", results=tmp_path)
     with pytest.raises(MethodError, match="5m, 2h, 2000steps or 64000maps"):
@@ -94,29 +96,20 @@ def test_runs_are_told_of_where_that_is_asked_for(
     assert re.fullmatch(rf"{re.escape(told)}\d+\.\d s of fitting\n", capsys.readouterr().err)
 
 
-def test_every_run_that_fails_is_told_of(dataset: PasDataset, tmp_path: Path) -> None:
-    name = "tests.support.stub_methods:FailsInFit"
-    jobs = [lofo_job(dataset, name, budget=Budget(max_steps=number)) for number in (1, 2)]
-    with pytest.raises(RunsFailedError, match="2 of 2 runs failed") as raised:
-        run_jobs(jobs, tmp_path)
-    assert len(raised.value.errors) == 2
-
-
 @pytest.mark.parametrize("executor", ["serial", "2"])
 def test_a_run_that_fails_stops_no_other_here_or_on_workers(
     dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], executor: str
 ) -> None:
-    methods = ["tests.support.stub_methods:FailsInFit", "nearest"]
-    with pytest.raises(RunsFailedError) as raised:
-        xb.run(dataset, methods, results=tmp_path, executor=executor, progress=True, **TARGET)  # type: ignore[arg-type]
-    number, failed = str(raised.value).splitlines()
-    assert number.startswith("1 of 2 runs failed")
     name = "tests.support.stub_methods:FailsInFit"
+    asked = {"results": tmp_path, "executor": executor, "progress": True, "seeds": [0, 1], **TARGET}
+    with pytest.raises(RunsFailedError) as raised:
+        xb.run(dataset, [name, "nearest"], **asked)  # type: ignore[arg-type]
+    number, failed, _ = str(raised.value).splitlines()
+    assert number.startswith("2 of 4 runs failed")
     where = f"{name} on lofo-77GHz of {dataset.path.name}, seed 0: Method '{name}' failed in fit on split 'lofo-77GHz'"
     assert re.match(rf"{where}: RuntimeError: no memory left \(.*stub_methods\.py", failed)
-    (error,) = raised.value.errors.values()
-    assert isinstance(error, MethodError)
-    assert [record.job.method for record in xb.read_records(tmp_path)] == ["nearest"]
+    assert [type(error) for error in raised.value.errors.values()] == [MethodError] * 2
+    assert [record.job.method for record in xb.read_records(tmp_path)] == ["nearest"] * 2
     told = capsys.readouterr().err
     assert "FailsInFit on lofo-77GHz, seed 0: failed\n" in told
     assert "nearest on lofo-77GHz, seed 0: median SSIM " in told
@@ -144,11 +137,3 @@ def test_what_may_take_more_than_ten_minutes_is_said_before_the_first_run(
     xb.run(dataset, methods, **asked)  # type: ignore[arg-type]
     (again,) = capsys.readouterr().err.splitlines()
     assert again.startswith("1/1 aperture-gs")
-
-
-def test_nothing_is_told_before_an_error(
-    dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(UnknownNameError):
-        xb.run(dataset, ["nearest", "neares"], results=tmp_path, progress=True, budget="2h", targets_ghz="all")
-    assert not capsys.readouterr().err

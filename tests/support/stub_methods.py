@@ -1,9 +1,8 @@
-"""Methods that keep the contract of `xfreqbench.methods.contract.Method` or break it, each in one way."""
+"""Methods that keep the contract of `xfreqbench.methods.contract.Method` or break it, and jobs of them."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,15 +31,10 @@ class Endless:
 
     def __init__(self, config=EndlessConfig()):
         self.config = config
-        self.closed = False
 
     def fit(self, train, budget, seed):
-        try:
-            for step in range(1, 10**9):
-                time.sleep(self.config.pause_s)
-                yield Progress(step, 1 / step)
-        finally:
-            self.closed = True
+        for step in range(1, 10**9):
+            yield Progress(step, 1 / step)
 
     def predict(self, tx_position_m, carrier_hz):
         return self.answer
@@ -57,93 +51,6 @@ class Short(Endless):
     def fit(self, train, budget, seed):
         for step in (1, 2, 3):
             yield Progress(step, math.nan)
-
-
-class Told(Endless):
-    """Remembers the shares of the budget that it is told."""
-
-    def fit(self, train, budget, seed):
-        self.shares = []
-        for step in range(1, 9):
-            time.sleep(self.config.pause_s)
-            self.shares.append((yield Progress(step, math.nan)))
-
-
-class Plain(Endless):
-    """Its `fit` is no generator, but a plain iterator."""
-
-    def fit(self, train, budget, seed):
-        return iter([Progress(1, 1.0), Progress(2, 0.5)])
-
-
-class Delegating(Endless):
-    """A generator that leaves its yields to an iterator that takes no share."""
-
-    def fit(self, train, budget, seed):
-        yield from self.steps()
-
-    def steps(self):
-        yield from map(Progress, (1, 2, 3), (1.0, 0.5, 0.25))
-
-
-class Losing(Endless):
-    """Yields the losses it is given."""
-
-    losses: tuple[float, ...] = ()
-
-    def fit(self, train, budget, seed):
-        for step, loss in enumerate(self.losses, start=1):
-            yield Progress(step, loss)
-
-
-class Untidy(Short):
-    """Takes its time when it is closed."""
-
-    def fit(self, train, budget, seed):
-        try:
-            yield from super().fit(train, budget, seed)
-        finally:
-            time.sleep(self.config.pause_s)
-
-
-class Resumed(Endless):
-    """Goes on after `step`."""
-
-    step = 0
-
-    def fit(self, train, budget, seed):
-        while True:
-            time.sleep(self.config.pause_s)
-            self.step += 1
-            yield Progress(self.step, 1.0, {"gaussians": 10 * self.step})
-
-
-class Silent(Endless):
-    def fit(self, train, budget, seed):
-        yield from ()
-
-
-class Loose(Endless):
-    def fit(self, train, budget, seed):
-        yield 0.5
-
-
-class Incomplete:
-    def fit(self, train, budget, seed): ...
-
-
-class WithoutConfig(Short):
-    def __init__(self): ...
-
-
-class WithoutDefault(Short):
-    def __init__(self, config):
-        self.config = config
-
-
-class ConfiguredByADict(Short):
-    def __init__(self, config=None):
-        self.config = config or {"hidden": 1}
 
 
 class FailsInFit(Nearest):

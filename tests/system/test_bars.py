@@ -21,19 +21,18 @@ def test_nothing_is_drawn_before_the_first_report(capsys: pytest.CaptureFixture[
     assert not capsys.readouterr().err
 
 
-def test_a_bar_shows_how_much_is_done(capsys: pytest.CaptureFixture[str], terminal: None) -> None:
-    with progress_bars("maps", ["checking", "scoring"], False) as (checking, scoring):
+@pytest.mark.parametrize("is_quiet", [False, True])
+def test_a_bar_shows_how_much_is_done_unless_nothing_is_to_be_shown(
+    capsys: pytest.CaptureFixture[str], terminal: None, is_quiet: bool
+) -> None:
+    with progress_bars("maps", ["checking", "scoring"], is_quiet) as (checking, scoring):
         checking(3, 3)
         scoring(1, 4)
     shown = capsys.readouterr().err
-    assert "3 of 3 maps" in shown and "1 of 4 maps" in shown
-
-
-def test_who_is_quiet_draws_nothing(capsys: pytest.CaptureFixture[str], terminal: None) -> None:
-    with progress_bars("maps", ["checking", "scoring"], True) as callbacks:
-        for callback in callbacks:
-            callback(1, 2)
-    assert not capsys.readouterr().err
+    if is_quiet:
+        assert not shown
+    else:
+        assert "3 of 3 maps" in shown and "1 of 4 maps" in shown
 
 
 def test_a_file_is_no_place_for_bars_that_are_drawn_over(request: pytest.FixtureRequest) -> None:

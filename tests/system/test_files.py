@@ -72,25 +72,6 @@ def test_a_file_system_without_locks_is_refused_in_words(
     assert not [path for path in tmp_path.iterdir() if path.suffix != ".lock"]
 
 
-def _hold_for_ever(folder: Path) -> None:
-    with exclusive(folder / "lock"):
-        (folder / "held").touch()
-        time.sleep(600)
-
-
-def test_the_lock_of_a_killed_process_is_free(tmp_path: Path) -> None:
-    process = multiprocessing.get_context("fork").Process(target=_hold_for_ever, args=(tmp_path,))
-    process.start()
-    while not (tmp_path / "held").exists():
-        time.sleep(0.01)
-    process.kill()
-    process.join()
-    assert (tmp_path / "lock").exists()
-    with exclusive(tmp_path / "lock"):
-        pass
-    assert not (tmp_path / "lock").exists()
-
-
 def _write_for_ever(path: Path) -> None:
     with atomic_path(path) as temporary:
         temporary.write_text("half")

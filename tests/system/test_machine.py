@@ -1,7 +1,8 @@
-"""How much memory is left: of the machine, of a container or a batch job, and of a process's own limits."""
+"""What the machine has: memory that is left, of it, of a batch job and of a process's own limits, cores, software."""
 
 from __future__ import annotations
 
+import os
 import resource
 from pathlib import Path
 from unittest.mock import Mock
@@ -72,3 +73,30 @@ def test_what_ulimit_leaves_is_for_this_process(
 def test_where_not_even_a_small_file_can_be_read_nothing_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "_left_in_groups", Mock(side_effect=MemoryError))
     assert available_memory_mib() == 0
+
+
+def test_a_process_pinned_to_one_core_has_one() -> None:
+    cores = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, {min(cores)})
+        assert machine.hardware.__wrapped__()["cores"] == "1"
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+@pytest.mark.parametrize(("name", "asked", "told"), [("OMP_NUM_THREADS", "1", "1"), ("NUMBA_NUM_THREADS", "64", None)])
+def test_fewer_threads_than_cores_are_told(
+    name: str, asked: str, told: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    for each in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        monkeypatch.delenv(each, raising=False)
+    monkeypatch.setenv(name, asked)
+    assert machine.hardware.__wrapped__().get("threads") == told
+
+
+def test_software_that_is_not_installed_has_no_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "_LIBRARIES", ("numpy", "no-such-library"))
+    machine.software.cache_clear()
+    assert machine.software().keys() == {"python", "numpy"}
+    machine.software.cache_clear()

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from queue import SimpleQueue
@@ -119,20 +120,14 @@ def test_a_process_that_ends_itself_is_an_error_and_what_it_said_is_heard() -> N
     assert heard.empty()  # it was not called again
 
 
-def test_every_call_has_a_core_to_itself() -> None:
-    places = own_cores()
+@pytest.mark.parametrize(("places", "num_cores"), [(own_cores(), 1), (all_cores(), len(own_cores()))])
+def test_every_call_has_the_cores_of_its_place(places: Sequence[frozenset[int]], num_cores: int) -> None:
+    assert frozenset().union(*places) == os.sched_getaffinity(0)
     with LocalProcesses(places) as workers:
         found = [future.result() for _, future in side_by_side(workers, _cores_of_call, [1, 2, 3])]
     assert sorted(argument for argument, _ in found) == [1, 2, 3]
-    for _, cores in found:
-        assert frozenset(cores) in places
-        assert len(cores) == 1
-
-
-def test_one_place_may_hold_every_core() -> None:
-    with LocalProcesses(all_cores()) as workers:
-        ((_, future),) = side_by_side(workers, _cores_of_call, [1])
-    assert set(future.result()[1]) == os.sched_getaffinity(0)
+    assert {frozenset(cores) for _, cores in found} <= {*places}
+    assert {len(cores) for _, cores in found} == {num_cores}
 
 
 def test_cores_are_dealt_out_and_shared_where_processes_are_more() -> None:

@@ -120,6 +120,7 @@ def test_where_nothing_can_be_held_out_other_carriers_have_mostly_and_other_plac
     assert len(drawn.left) == len(few)
     choices = Blend.chosen(TRIVIAL, few, drawn, truth_of(few)).choices
     assert choices == {KINDS[0]: beside_line_of_sight(0.25), KINDS[1]: Choice(weights={"LineOfSight": 1.0})}
+    assert_mixed(few, choices, (5e9, 94e9), {LEARNED: 0.25, "LineOfSight": 0.75})
 
 
 def test_a_method_that_knows_the_truth_is_left_alone(train: PasDataset, holdout: Holdout) -> None:
@@ -212,14 +213,6 @@ def test_a_choice_reads_each_map_once(train: PasDataset, holdout: Holdout, monke
     assert 0 < len(read) == len(set(read)) <= len(train)
 
 
-def test_between_held_out_carriers_maps_are_means_of_their_choices_and_beyond_them_the_outermosts(
-    train: PasDataset,
-) -> None:
-    chosen = {at(KINDS[0], carrier_hz): beside_line_of_sight(weight, carrier_hz) for carrier_hz, weight in WEIGHTS}
-    for carrier_hz, weight in ((1e9, 0.25), (2e9, 0.25), (4e9, 0.625), (8e9, 1.0), (37e9, 1.0)):
-        assert_mixed(train, chosen, (carrier_hz,), {LEARNED: weight, "LineOfSight": 1 - weight})
-
-
 def assert_mixed(
     train: PasDataset,
     choices: dict[str, Choice],
@@ -243,6 +236,14 @@ def assert_mixed(
         maps[LEARNED] = learned = np.asarray(flat + (1 - flat) * maps["LineOfSight"], np.float32)
         mixed = sum(weight * maps[name] for name, weight in weights.items())
         np.testing.assert_allclose(blend.maps(learned, *query), mixed / mixed.max(), atol=1e-6)
+
+
+def test_between_held_out_carriers_maps_are_means_of_their_choices_and_beyond_them_the_outermosts(
+    train: PasDataset,
+) -> None:
+    chosen = {at(KINDS[0], carrier_hz): beside_line_of_sight(weight, carrier_hz) for carrier_hz, weight in WEIGHTS}
+    for carrier_hz, weight in ((1e9, 0.25), (2e9, 0.25), (4e9, 0.625), (8e9, 1.0), (37e9, 1.0)):
+        assert_mixed(train, chosen, (carrier_hz,), beside_line_of_sight(weight).weights)
 
 
 def test_an_octave_above_the_band_no_carrier_chooses_any_more(train: PasDataset) -> None:
@@ -282,11 +283,6 @@ def test_far_from_all_known_transmitters_nothing_that_is_held_out_chooses_any_mo
     assert_mixed(train, chosen, (10e9, 94e9), {"LineOfSight": 1.0}, behind_m)  # learned maps are unlike it
 
 
-def test_of_a_single_carrier_all_others_have_the_same_weights(tmp_path: Path) -> None:
-    single = write_dataset(tmp_path / "single.h5", 6, (10.0,))
-    assert_mixed(single, {KINDS[0]: beside_line_of_sight(0.25)}, (5e9, 94e9), {LEARNED: 0.25, "LineOfSight": 0.75})
-
-
 def test_while_the_outermost_carriers_are_held_out_they_are_beyond_the_band(train: PasDataset) -> None:
     model = XFreqGS(XFreqGSConfig(**{**TINY, "blend": "auto"}))
     fit = model.fit(train, Budget(max_steps=100), 0)
@@ -303,19 +299,13 @@ def test_while_the_outermost_carriers_are_held_out_they_are_beyond_the_band(trai
 def test_every_kind_of_query_has_its_own_weight(train: PasDataset) -> None:
     weights = dict(zip(KINDS, (0.25, 0.5, 0.75), strict=True))
     choices = {kind: beside_line_of_sight(weight) for kind, weight in weights.items()}
-    blend, learned = Blend(TRIVIAL, train, choices), np.ones((1, *train.grid.shape), np.float32)
-    los = TRIVIAL[0]()
-    next(iter(los.fit(train, Budget(), 0)))
-    seen_m = train.tx_position_m[:1]
-    for tx_m, carrier_ghz, kind in (
-        (seen_m, 20.0, KINDS[0]),
-        (seen_m, 10.0, KINDS[0]),  # both are seen, though perhaps not together
-        (seen_m + 0.1, 10.0, KINDS[1]),
-        (seen_m + 0.1, 20.0, KINDS[2]),
+    seen_m, unseen_m = train.tx_position_m[0], train.tx_position_m[0] + 0.1
+    for tx_m, carriers_hz, kind in (
+        (seen_m, (20e9, 10e9), KINDS[0]),  # 10 GHz is seen too, though perhaps not together
+        (unseen_m, (10e9,), KINDS[1]),
+        (unseen_m, (20e9,), KINDS[2]),
     ):
-        query = tx_m, np.array([carrier_ghz * 1e9])
-        mixed = weights[kind] + (1 - weights[kind]) * los.predict(*query)
-        np.testing.assert_allclose(blend.maps(learned, *query), mixed / mixed.max(), atol=1e-6)
+        assert_mixed(train, choices, carriers_hz, beside_line_of_sight(weights[kind]).weights, tx_m)
 
 
 def test_a_blended_fit_goes_on_from_its_files_as_if_it_had_never_stopped(many: PasDataset, tmp_path: Path) -> None:

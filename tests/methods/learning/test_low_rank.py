@@ -40,6 +40,12 @@ def random(*shape: int, seed: int = 0) -> Tensor:
     return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
 
 
+def with_random_weights(network: LowRankNetwork) -> LowRankNetwork:
+    for parameter in network.parameters():
+        parameter.data = random(*parameter.shape, seed=3)
+    return network
+
+
 def codes() -> Codes:
     shapes = (2, RANK), (NUM_SHAPES, RANK), (NUM_SHAPES,), (NUM_SHAPES,)
     return Codes(*(random(NUM_GAUSSIANS, *shape, seed=nth) for nth, shape in enumerate(shapes)))
@@ -69,10 +75,7 @@ def test_at_first_all_carriers_have_the_same_signals_and_one_direct_wave(config:
 
 @pytest.mark.parametrize("trend", TRENDS)
 def test_signals_are_straight_lines_on_the_trends_axis(trend: Trend) -> None:
-    network = network_of(replace(SMALL, trend=trend))
-    with torch.no_grad():
-        for parameter in network.parameters():
-            parameter.copy_(random(*parameter.shape, seed=3))
+    network = with_random_weights(network_of(replace(SMALL, trend=trend)))
     signal = asked(network, random(1, 3, seed=9).expand(4, -1), CARRIER_HZ).signal[0]
     for name, function in (("root", torch.sqrt), ("log", torch.log)):
         on_axis = function(CARRIER_HZ)
@@ -84,10 +87,8 @@ def test_signals_are_straight_lines_on_the_trends_axis(trend: Trend) -> None:
 
 @pytest.mark.parametrize("trend", TRENDS)
 def test_a_network_that_does_not_see_the_carrier_never_answers_to_it(trend: Trend) -> None:
-    network = network_of(replace(SMALL, sees_carrier=False, trend=trend))
+    network = with_random_weights(network_of(replace(SMALL, sees_carrier=False, trend=trend)))
     with torch.no_grad():
-        for parameter in network.parameters():
-            parameter.copy_(random(*parameter.shape, seed=3))
         shape = replace(codes(), shape_trend=torch.zeros(NUM_GAUSSIANS, NUM_SHAPES))
         tx_m = random(1, 3, seed=9).expand(4, -1)
         signal = network(tx_m, CARRIER_HZ, random(NUM_GAUSSIANS, 3), shape).signal

@@ -105,6 +105,14 @@ def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
     assert (numbers[0] < numbers[1] < numbers[2]) == (method in DIVIDED)
 
 
+def test_a_step_of_the_weights_is_forgotten_at_the_rate_that_is_asked_for() -> None:
+    kept, layer, mean = 0.5, torch.nn.Linear(2, 1, bias=False), None
+    for step in range(-20, 4):  # past the start, when the mean keeps less
+        torch.nn.init.constant_(layer.weight, float(step <= 0))
+        mean = learned.averaged(mean, layer, kept)
+        assert mean.module.weight[0, 0].item() == pytest.approx(kept ** max(step, 0))
+
+
 def test_the_mean_of_weights_begins_anew_where_gaussians_are_replaced_by_as_many_others(
     dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -169,38 +177,27 @@ def test_xfreq_gs_learns_places_turns_and_sizes_and_shows_them(dataset: PasDatas
     assert np.array_equal(predicted(model, dataset), shown)
 
 
-def test_a_target_that_is_not_finite_ends_the_fit_before_it_spoils_parameters(
-    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model = tiny(XFreqGS)
-    fit = model.fit(dataset, Budget(10), 0)
-    next(fit)
-    before = {name: value.clone() for name, value in field_of(model).named_parameters()}
-    monkeypatch.setattr(view.Targets, "maps", lambda self, nth, part: torch.full((8, 6, 24), torch.nan))
-    with pytest.raises(DivergenceError, match="loss is not finite at step 2") as raised:
-        fit.send(0.1)
-    assert (raised.value.step, raised.value.tensor) == (2, "loss")
-    for name, value in field_of(model).named_parameters():
-        assert torch.equal(value, before[name]), name
-
-
 @pytest.mark.parametrize(
     ("parameter", "tensor"),
     [
+        (None, "loss"),  # the targets are nan
         ("network.head.bias", "loss"),  # every map is nan
         ("gaussians.position_m", "gradient of gaussians.position_m"),  # no direction sees that Gaussian
     ],
 )
-def test_a_parameter_that_is_not_finite_ends_the_fit_before_it_spoils_the_others(
-    dataset: PasDataset, parameter: str, tensor: str
+def test_what_is_not_finite_ends_the_fit_before_it_spoils_parameters(
+    dataset: PasDataset, monkeypatch: pytest.MonkeyPatch, parameter: str | None, tensor: str
 ) -> None:
     model = tiny(XFreqGS)
     fit = model.fit(dataset, Budget(10), 0)
     next(fit)
     field = field_of(model)
-    field.get_parameter(parameter).data.view(-1)[:3] = torch.nan
+    if parameter:
+        field.get_parameter(parameter).data.view(-1)[:3] = torch.nan
+    else:
+        monkeypatch.setattr(view.Targets, "maps", lambda self, nth, part: torch.full((8, 6, 24), torch.nan))
     before = {name: value.clone() for name, value in field.named_parameters()}
-    with pytest.raises(DivergenceError) as raised:
+    with pytest.raises(DivergenceError, match=f"{tensor} is not finite at step 2") as raised:
         fit.send(0.1)
     assert (raised.value.step, raised.value.tensor) == (2, tensor)
     for name, value in field.named_parameters():

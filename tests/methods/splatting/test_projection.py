@@ -37,9 +37,8 @@ def projected(position_m: Tensor, quaternion: Tensor, log_scale: Tensor) -> Proj
     return project_gaussians(torch.cat([position_m, quaternion, log_scale], dim=-1))
 
 
-def flat(position_m: Tensor, quaternion: Tensor, log_scale: Tensor) -> Tensor:
+def flat(seen: Projection) -> Tensor:
     """Azimuth, elevation and covariance of every Gaussian, (N, 6)."""
-    seen = projected(position_m, quaternion, log_scale)
     return torch.column_stack([seen.azimuth_rad, seen.elevation_rad, seen.covariance.flatten(1)])
 
 
@@ -93,7 +92,7 @@ def test_values_and_gradients_are_finite_wherever_a_gaussian_is(place: str, dtyp
     position_m = torch.tensor([AT_THE_EDGES[place]], dtype=dtype, requires_grad=True)
     quaternion = torch.tensor([[0.3, -0.5, 0.2, 0.9]], dtype=dtype, requires_grad=True)
     log_scale = torch.tensor([[-3.0, -1.0, 0.0]], dtype=dtype, requires_grad=True)
-    seen = flat(position_m, quaternion, log_scale)
+    seen = flat(projected(position_m, quaternion, log_scale))
     assert bool(seen.isfinite().all())
     assert float(seen.detach()[0, 2]) >= MIN_VARIANCE * (1 - 1e-6)  # which float32 rounds
     for gradient in torch.autograd.grad(seen.sum(), (position_m, quaternion, log_scale)):
@@ -113,7 +112,7 @@ def test_compiled_projection_is_that_of_torch_in_value_and_gradient(place: str) 
         given = gaussians.clone().requires_grad_()
         position_m, quaternion, log_scale = given.split([3, 4, 3], dim=-1)
         seen = project_gaussians(given) if compiled else project(position_m, covariance(quaternion, log_scale))
-        flattened = torch.column_stack([seen.azimuth_rad, seen.elevation_rad, seen.covariance.flatten(1)])
+        flattened = flat(seen)
         answers.append((flattened.detach(), *torch.autograd.grad((flattened * weight).sum(), given)))
     for found, expected in zip(*answers, strict=True):
         assert relative_error(found, expected) < 1e-11

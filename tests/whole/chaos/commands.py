@@ -7,12 +7,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
+from tests.support.prediction_files import hand_out, write_predictions
 from xfreqbench.cli.main import main
 from xfreqbench.data.dataset import open_dataset
-from xfreqbench.data.hdf5 import Variable, create_sealed
-from xfreqbench.data.splits import make_splits
 
 _TRACE = "generate two_rooms --solver image --rays 20000 --max-depth 3 -q"
 _LOFO = "run --data inputs/data.h5 --protocol lofo --targets 24.25 -q --budget"
@@ -71,19 +68,8 @@ def prepare(folder: Path, give: Callable[[str], None]) -> None:
     give(f"{_LOFO} 3steps --method mean-over-frequency --results inputs/fewer")
     give(f"{_LOFO} 3steps --method nearest --results inputs/results")
     give(f"{_LOFO} 3steps --method virtual-source --set render=learned --results inputs/results")
-    _write_predictions(folder / "inputs" / "data.h5", folder / "inputs" / "predictions.h5")
-
-
-def _write_predictions(data: Path, path: Path) -> None:
-    """Predictions of one split as other programs hand them in: noise, for nobody looks at its scores."""
-    dataset = open_dataset(data)
-    (split,) = make_splits(dataset, "lofo", [24.25])
-    shape = (len(split.test), *dataset.grid.shape)
-    maps = np.random.default_rng(0).random(shape, np.float32)
-    told = {"split_sha256": split.sha256, "method": "noise"}
-    pas = Variable(f"{split.name}/pas", "<f4", shape, (), "1", "predicted map")
-    with create_sealed(path, [pas], {}, {split.name: told}) as writer:
-        writer.append(pas.name, maps / maps.max(axis=(1, 2), keepdims=True))
+    split = hand_out(open_dataset(folder / "inputs" / "data.h5"), folder.with_name("split.h5"), targets=[24.25])
+    write_predictions(folder / "inputs" / "predictions.h5", split, method="noise")
 
 
 def do_wrong(how: str) -> None:
