@@ -192,11 +192,10 @@ def run(
         print(f"{protocol} on {data.name}: {estimate_runs(tasks, results, executor)}; nothing was run")
         return
     records = run_shown(tasks, results, executor, not quiet)
-    from xfreqbench.report.leaderboard.results import ranked_beside
     from xfreqbench.report.leaderboard.tables import Leaderboard  # after the refusals, which it would delay
 
     more = "Tables by carrier, type of room and sight" if protocol in ROOM_PROTOCOLS else "Every metric"
-    say(f"{Leaderboard(ranked_beside(results, records))}\n\n{more}: xfreqbench report {results}", quiet)
+    say(f"{Leaderboard.beside(results, records)}\n\n{more}: xfreqbench report {results}", quiet)
 
 
 @app.command(group=RUN, help_epilogue=example("benchmark --preset quick"))
