@@ -324,11 +324,11 @@ def report(
         require_page(found, html)
     if maps is not None:
         require_own_maps(maps)
+    written = write_report(found, output, details, earlier)
     if output is None:
         say(report_text(found, details, earlier), quiet)
-    else:
-        for path in write_report(found, output, details, earlier):
-            say(f"wrote {path}", quiet)
+    for path in written:
+        say(f"wrote {path}", quiet)
     if found.num_truncated:
         say("the last line of the records is cut off, as a killed run leaves it; it was not read", quiet)
     if maps is not None:

@@ -66,22 +66,24 @@ class _Page:
 
 
 def write_report(
-    results: Results, output_md: Path, details: Path | None = None, since: Path | None = None
+    results: Results, output_md: Path | None, details: Path | None = None, since: Path | None = None
 ) -> list[Path]:
     """Write a Markdown report, its figures and tables from `results`: read ones, results folders or files of records.
 
     Returns the files, the report first, then other pages, then figures and tables. With a folder `details` the report
     is a short one, and a page for each scene, one of the paper's claims, one of unseen rooms and one of the
-    measurements are written there. With earlier results `since` it says what got worse. In an existing page only the
-    text between the two marker comments is replaced. Raises `DataError` where there are no records and as `boards`
-    does, `OutputExistsError` where a page, a figure or a table is another file, and `StorageError`.
+    measurements are written there, without `output_md` these alone. With earlier results `since` it says what got
+    worse. In an existing page only the text between the two marker comments is replaced. Raises `DataError` where there
+    are no records and as `boards` does, `OutputExistsError` where a page, a figure or a table is another file, and
+    `StorageError`.
     """
     from xfreqbench.report.drawing.figures import require_own_figure
 
     found = read_results(results)
+    pages = []
     if details is not None:
-        pages = _pages(found, output_md, details, since)
-    else:
+        pages = _pages(found, output_md or Path(), details, since)[0 if output_md is not None else 1 :]
+    elif output_md is not None:
         text = report_markdown(found.boards, found.benches, _worse(found, since))
         pages = [_Page(output_md, "Benchmark", text, found.boards, found.benches)]
     places = [os.path.realpath(page.path) for page in pages]
