@@ -252,7 +252,6 @@ def score(
         and `method`.
     """
     from xfreqbench.exchange.score_file import score_file
-    from xfreqbench.report.leaderboard.results import ranked_beside
     from xfreqbench.report.leaderboard.tables import Leaderboard
     from xfreqbench.system.bars import progress_bars
 
@@ -264,4 +263,4 @@ def score(
         say(f"every map of {silent} in {predictions} is zero. Was each divided by its maximum before it was rounded?")
     if not scored.is_data_known:
         say(f"{predictions} has no dataset_sha256, so it is assumed to be of {data}", quiet)
-    say(f"{Leaderboard(ranked_beside(results, scored.records))}\n\nEvery metric: xfreqbench report {results}", quiet)
+    say(f"{Leaderboard.beside(results, scored.records)}\n\nEvery metric: xfreqbench report {results}", quiet)

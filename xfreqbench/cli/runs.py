@@ -192,11 +192,10 @@ def run(
         print(f"{protocol} on {data.name}: {estimate_runs(tasks, results, executor)}; nothing was run")
         return
     records = run_shown(tasks, results, executor, not quiet)
-    from xfreqbench.report.leaderboard.results import ranked_beside
     from xfreqbench.report.leaderboard.tables import Leaderboard  # after the refusals, which it would delay
 
     more = "Tables by carrier, type of room and sight" if protocol in ROOM_PROTOCOLS else "Every metric"
-    say(f"{Leaderboard(ranked_beside(results, records))}\n\n{more}: xfreqbench report {results}", quiet)
+    say(f"{Leaderboard.beside(results, records)}\n\n{more}: xfreqbench report {results}", quiet)
 
 
 @app.command(group=RUN, help_epilogue=example("benchmark --preset quick"))
@@ -325,11 +324,11 @@ def report(
         require_page(found, html)
     if maps is not None:
         require_own_maps(maps)
+    written = write_report(found, output, details, earlier)
     if output is None:
         say(report_text(found, details, earlier), quiet)
-    else:
-        for path in write_report(found, output, details, earlier):
-            say(f"wrote {path}", quiet)
+    for path in written:
+        say(f"wrote {path}", quiet)
     if found.num_truncated:
         say("the last line of the records is cut off, as a killed run leaves it; it was not read", quiet)
     if maps is not None:

@@ -78,42 +78,56 @@ def test_a_commit_is_cut_and_keeps_that_the_source_was_edited() -> None:
     assert list(map(short_commit, commits)) == ["0123456", "0123456+changes", "?"]
 
 
-def test_runs_of_other_code_are_another_row() -> None:
-    records = [seeded(0.9, 0, code_sha256="a" * 64), seeded(0.8, 1, code_sha256="b" * 64)]
-    (board,) = boards(records)
-    assert sorted(row.average([SPLITS[0]]) for row in board.rows) == [0.8, 0.9]
+def of_options(*options: str, seed: int) -> RunRecord:
+    return make_record("ours", 0.9, SPLITS[0], job=Job("data.h5", "ours", "lofo", SPLITS[0], options, seed))
 
 
-def test_versions_of_a_method_are_named_by_their_time_and_their_code() -> None:
-    older = [
-        seeded(0.9, seed, code_sha256="3fa9c1" + "0" * 58, time_utc=f"2026-11-27T0{seed}:30:00+00:00")
-        for seed in (8, 9)
-    ]
+def versions() -> list[RunRecord]:
+    """Two seeds of an older version of a method, and one of a newer."""
     newer = seeded(0.8, 8, code_sha256="e0aa12" + "0" * 58, time_utc="2026-11-28T10:02:59+00:00", git_commit="0123456")
-    (board,) = boards([newer, *older])
-    assert {row.short_label: len(row.records) for row in board.rows} == {
-        "ours (2026-11-27 08:30, code 3fa9c1)": 2,
-        "ours (2026-11-28 10:02, code e0aa12)": 1,
-    }
+    older = {"code_sha256": "3fa9c1" + "0" * 58}
+    return [newer, *(seeded(0.9, seed, time_utc=f"2026-11-27T0{seed}:30:00+00:00", **older) for seed in (8, 9))]
 
 
-def test_no_two_rows_have_one_label_even_of_one_code() -> None:
-    records = [seeded(0.9, seed, config={"width": seed}) for seed in range(3)]
+def file_of(name: str, splits: tuple[str, ...], day: int) -> list[RunRecord]:
+    return [external(split, file=name, time_utc=f"2026-01-0{day}T00:00:00+00:00") for split in splits]
+
+
+FIRST, SECOND, THIRD = SPLITS
+
+
+@pytest.mark.parametrize(
+    ("records", "rows"),
+    [
+        (
+            versions(),
+            {
+                "ours (≤ 300 s) (2026-11-27 08:30, code 3fa9c1)": {FIRST: 2},
+                "ours (≤ 300 s) (2026-11-28 10:02, code e0aa12)": {FIRST: 1},
+            },
+        ),
+        (
+            [seeded(0.9, seed, config={"width": seed}) for seed in range(3)],
+            {f"ours (≤ 300 s) (2026-01-01 00:00, code ?){number}": {FIRST: 1} for number in ("", " #2", " #3")},
+        ),
+        ([of_options("a=1", "b=2", seed=0), of_options("b=2", "a=1", seed=1)], {"ours (a=1, b=2)": {FIRST: 2}}),
+        (
+            [external(file="a"), external(SECOND, file="b"), external(seed=1, file="c")],
+            {"theirs (external)": {FIRST: 2, SECOND: 1}},
+        ),
+        (
+            [*file_of("b", (SECOND, THIRD), 2), *file_of("a", (FIRST, SECOND), 1)],
+            {
+                "theirs (external) (2026-01-01 00:00, file aaaaaa)": {FIRST: 1, SECOND: 1},
+                "theirs (external) (2026-01-02 00:00, file bbbbbb)": {SECOND: 1, THIRD: 1},
+            },
+        ),
+    ],
+    ids=["versions", "configurations", "options in another order", "files share no part", "files share a part"],
+)
+def test_rows_are_named_by_what_tells_them_apart(records: list[RunRecord], rows: dict) -> None:
     (board,) = boards(records)
-    assert sorted(row.label for row in board.rows) == [
-        "ours (≤ 300 s) (2026-01-01 00:00, code ?)",
-        "ours (≤ 300 s) (2026-01-01 00:00, code ?) #2",
-        "ours (≤ 300 s) (2026-01-01 00:00, code ?) #3",
-    ]
-
-
-def test_options_in_another_order_are_the_same_row() -> None:
-    jobs = [
-        Job("data.h5", "ours", "lofo", SPLITS[0], options, seed)
-        for seed, options in enumerate([("a=1", "b=2"), ("b=2", "a=1")])
-    ]
-    row = only_row(*(make_record("ours", 0.9, SPLITS[0], job=job) for job in jobs))
-    assert row.label == "ours (a=1, b=2)"
+    assert {row.label: {split: len(of) for split, of in row.by_split.items()} for row in board.rows} == rows
 
 
 @pytest.mark.parametrize("options", [(), ("a=1", "b=2")])
@@ -177,20 +191,3 @@ def test_external_predictions_are_marked_and_a_built_in_name_merges_with_nothing
         *((name, True, "trivial") for name in sorted(NEEDED_TRIVIAL)),
     ]
     assert board.best_trivial[SPLITS[0]] == 0.8
-
-
-def test_external_files_that_share_no_part_are_one_row() -> None:
-    files = [external(file="a"), external(SPLITS[1], file="b"), external(seed=1, file="c")]
-    row = only_row(*files)
-    assert row.label == "theirs (external)"
-    assert row.num_seeds(SPLITS[:1]) == (2, 2)
-
-
-def test_an_external_file_with_a_part_that_another_has_is_a_row_of_its_own_with_all_its_parts() -> None:
-    first = [external(split, file="a", time_utc="2026-01-01T00:00:00+00:00") for split in SPLITS[:2]]
-    later = [external(split, file="b", time_utc="2026-01-02T00:00:00+00:00") for split in SPLITS[1:]]
-    (board,) = boards([*later, *first])
-    assert {row.label: tuple(row.by_split) for row in board.rows} == {
-        "theirs (external) (2026-01-01 00:00, file aaaaaa)": SPLITS[:2],
-        "theirs (external) (2026-01-02 00:00, file bbbbbb)": SPLITS[1:],
-    }

@@ -12,7 +12,7 @@ from tests.support.stored_records import make_record, store
 from xfreqbench.methods.contract import LANES
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.page import write_page
-from xfreqbench.report.leaderboard.report import write_report
+from xfreqbench.report.leaderboard.report import report_text, write_report
 from xfreqbench.report.leaderboard.side_by_side import got_worse
 from xfreqbench.runs.records import RunRecord
 
@@ -53,6 +53,14 @@ def test_a_short_report_leaves_ablations_to_the_pages_of_scenes(written: tuple[P
     assert not rows_of(texts["B"], ABLATION)
     assert len(texts["B"].splitlines()) < len(texts["office"].splitlines())
     assert "Error against run time" in texts["measurements"]
+
+
+def test_without_a_file_the_short_report_is_a_text_and_the_pages_are_written_alone(
+    results: Path, written: tuple[Path, ...], tmp_path: Path
+) -> None:
+    pages = [path for path in write_report(results, None, tmp_path / "all") if path.suffix == ".md"]
+    assert [path.read_bytes() for path in pages] == [path.read_bytes() for path in written[1:]]
+    assert report_text(results, written[1].parent).partition("\n## Findings")[0] in written[0].read_text("utf-8")
 
 
 def test_every_link_of_a_short_report_leads_to_a_file(written: tuple[Path, ...]) -> None:

@@ -30,7 +30,6 @@ from xfreqbench.report.leaderboard.columns import BRIEF, COSTS, columns, metric_
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.report import report_text, write_report
-from xfreqbench.report.leaderboard.results import ranked_beside
 from xfreqbench.report.leaderboard.tables import Leaderboard, csv_tables
 
 
@@ -107,7 +106,7 @@ def test_records_of_different_versions_are_not_ranked_together(field: str) -> No
 def test_the_summary_shows_the_whole_board_that_a_run_stands_on_and_no_other(tmp_path: Path) -> None:
     others = [make_record(dataset_sha256="c" * 64), make_record("old", protocol_version="0")]
     results = store(tmp_path, *make_records(), *others)
-    summary = str(Leaderboard(ranked_beside(results, [make_records()[-1]])))
+    summary = str(Leaderboard.beside(results, [make_records()[-1]]))
     assert rows_of(summary, "ours")[0]["skill"] == "0.500"
     assert rows_of(summary, "nearest") and not rows_of(summary, "old")
     assert summary.count("| method") == 1

@@ -25,7 +25,7 @@ from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord
 from xfreqbench.types import FloatArray
 
 
-def median_ssim(record: RunRecord) -> float:
+def _median_ssim(record: RunRecord) -> float:
     """The median SSIM of a record's test maps."""
     return record.scores["ssim"].median
 
@@ -98,7 +98,7 @@ class BoardRow:
         """What `Comparison.paired_difference` has found, by splits and the label of the other row of the board."""
         return {}
 
-    def average(self, splits: Sequence[str], quantity: Callable[[RunRecord], float] = median_ssim) -> float:
+    def average(self, splits: Sequence[str], quantity: Callable[[RunRecord], float] = _median_ssim) -> float:
         """Mean over splits of the mean over seeds; nan where one was not run, as means over other splits differ."""
         if not self.by_split.keys() >= set(splits):
             return nan
@@ -116,7 +116,7 @@ class BoardRow:
         """
         values: dict[int, list[float]] = {}
         for record in chain.from_iterable(self.by_split.get(split, ()) for split in splits):
-            values.setdefault(record.job.seed, []).append(median_ssim(record))
+            values.setdefault(record.job.seed, []).append(_median_ssim(record))
         averages = [mean(of_seed) for of_seed in values.values() if len(of_seed) == len(splits)]
         return stdev(averages) if len(averages) > 1 else nan
 
@@ -212,7 +212,7 @@ class Board:
 
     def skill(self, record: RunRecord) -> float:
         """Skill of a record: its median SSIM against that of the best trivial predictor on the same split."""
-        return skill(median_ssim(record), self.best_trivial.get(record.job.split, nan))
+        return skill(_median_ssim(record), self.best_trivial.get(record.job.split, nan))
 
     def split_sets(self) -> list[tuple[str, ...]]:
         """The sets of splits that rows were run on, the set that most rows cover first.

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import isinf, isnan, nan
 
 from xfreqbench.data.recipe import recipe_name
 from xfreqbench.maps.metrics import METRICS
 from xfreqbench.report.drawing.markdown import ABSENT
-from xfreqbench.report.leaderboard.boards import BoardRow, median_ssim, short_name
+from xfreqbench.report.leaderboard.boards import BoardRow, short_name
 from xfreqbench.report.leaderboard.comparison import UNKNOWN, Comparison, Interval
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.units import band_text
@@ -29,7 +30,7 @@ BRIEF = ("rank", "method", "origin", "splits", "average", "skill", "seconds")
 
 
 @dataclass(frozen=True)
-class Column:
+class _Column:
     """One column: its title, a hint that explains it, and the cell of each row.
 
     `value` is the number that rows are sorted by, nan where it is unknown; a column of words has none and is sorted
@@ -79,7 +80,7 @@ def metric_title(name: str) -> str:
     return titles.get(name, name.replace("_", " ")) + (f" ({unit})" if unit else "")
 
 
-def columns(comparison: Comparison, names: Sequence[str]) -> list[Column]:
+def columns(comparison: Comparison, names: Sequence[str]) -> list[_Column]:
     """Columns of a comparison by name: those of `METRICS` and `COSTS`, and the others below.
 
     `splits` is a column of each split where there are several. Columns that no record of the board has a number for
@@ -93,53 +94,53 @@ def columns(comparison: Comparison, names: Sequence[str]) -> list[Column]:
     def place(end: int) -> Callable[[BoardRow], float]:
         return lambda row: (comparison.ranks(row) or (nan, nan))[end]
 
-    def of_ssim(title: str, hint: str, quantity: Callable[[RunRecord], float] = median_ssim) -> Column:
-        return Column(title, hint, average(quantity), ".4f", is_largest_first=True)
+    def of_ssim(title: str, hint: str, value: Callable[[BoardRow], float]) -> _Column:
+        return _Column(title, hint, value, ".4f", is_largest_first=True)
 
-    def of_split(split: str) -> Column:
-        hint = f"median SSIM of {split}, mean over the seeds"
-        return Column(short_name(split), hint, lambda row: row.average([split]), ".4f", is_largest_first=True)
-
-    def of_metric(name: str) -> Column:
+    def of_metric(name: str) -> _Column:
         hint = f"median, mean over splits and seeds: {METRICS[name].description}"
         form = {"ssim_wrapped": ".4f", "beam_loss": ".3f"}.get(name, ".2f")
         value = average(lambda record: record.scores[name].median)
-        return Column(metric_title(name), hint, value, form, is_largest_first=METRICS[name].higher_is_better)
+        return _Column(metric_title(name), hint, value, form, is_largest_first=METRICS[name].higher_is_better)
 
-    def of_cost(name: str) -> Column:
+    def of_cost(name: str) -> _Column:
         title, hint, form, _ = COSTS[name]
-        return Column(title, f"{hint}, mean over splits and seeds", average(lambda each: cost_of(each, name)), form)
+        return _Column(title, f"{hint}, mean over splits and seeds", average(lambda each: cost_of(each, name)), form)
 
     def origins(row: BoardRow) -> str:
         of_row = set(map(board.origin, row.records))
         return " ".join(label for origin, label in board.origins.items() if origin in of_row)
 
     ssim = replace(
-        of_ssim(metric_title("ssim"), "median SSIM, mean over splits and seeds, and its 95 % interval"),
+        of_ssim(
+            metric_title("ssim"),
+            "median SSIM, mean over splits and seeds, and its 95 % interval",
+            lambda row: row.average(splits),
+        ),
         bounds=comparison.interval,
     )
     every = {
-        "rank": Column(
+        "rank": _Column(
             "rank",
             "places that the intervals leave open, or why there is no rank",
             lambda row: place(0)(row) + place(1)(row) / 1e4,  # by the best place, then by the worst
             words=lambda row: comparison.unranked(row) or _span(comparison.ranks(row)),
         ),
-        "best rank": Column("best rank", "best place that the intervals leave open", place(0), ".0f"),
-        "worst rank": Column("worst rank", "worst place that the intervals leave open", place(1), ".0f"),
-        "method": Column("method", "with what differs from a plain run", None, words=lambda row: row.short_label),
-        "origin": Column("origin", "machine, code and data, told below the table", None, words=origins),
+        "best rank": _Column("best rank", "best place that the intervals leave open", place(0), ".0f"),
+        "worst rank": _Column("worst rank", "worst place that the intervals leave open", place(1), ".0f"),
+        "method": _Column("method", "with what differs from a plain run", None, words=lambda row: row.short_label),
+        "origin": _Column("origin", "machine, code and data, told below the table", None, words=origins),
         "ssim": ssim,
         "average": replace(ssim, title="average" if len(splits) > 1 else short_name(splits[0]), is_board_order=True),
         "mean": of_ssim(
-            "mean", "mean SSIM over the test maps, splits and seeds", lambda record: record.scores["ssim"].mean
+            "mean", "mean SSIM over the test maps, splits and seeds", average(lambda each: each.scores["ssim"].mean)
         ),
         "p10": of_ssim(
             "10th pct.",
             "SSIM that a tenth of the test maps lies below, mean over splits and seeds",
-            lambda record: record.scores["ssim"].p10,
+            average(lambda record: record.scores["ssim"].p10),
         ),
-        "skill": Column(
+        "skill": _Column(
             "skill",
             "share of what the best trivial predictor leaves open that is closed, and its 95 % interval",
             average(board.skill),
@@ -147,24 +148,26 @@ def columns(comparison: Comparison, names: Sequence[str]) -> list[Column]:
             bounds=comparison.skill_interval,
             is_largest_first=True,
         ),
-        "seed spread": Column(
+        "seed spread": _Column(
             "± seeds", "standard deviation of the average over the seeds", lambda row: row.seed_spread(splits), ".4f"
         ),
-        "seeds": Column(
+        "seeds": _Column(
             "seeds",
             "runs of each split",
             lambda row: float(row.num_seeds(splits)[0]),
             words=lambda row: _span(row.num_seeds(splits)),
             is_largest_first=True,
         ),
-        "trained on": Column(
+        "trained on": _Column(
             "trained on", "data, carriers and transmitters", None, words=lambda row: _trained_on(row, splits)
         ),
     }
-    found: list[Column] = []
+    found: list[_Column] = []
     for name in names:
         if name == "splits":
-            found += map(of_split, splits if len(splits) > 1 else ())
+            for split in splits if len(splits) > 1 else ():
+                hint, value = f"median SSIM of {split}, mean over the seeds", partial(BoardRow.average, splits=[split])
+                found.append(of_ssim(short_name(split), hint, value))
         elif name in COSTS:
             found += [of_cost(name)] if any(not isnan(cost_of(record, name)) for record in board.records) else []
         elif name != "origin" or board.origins:

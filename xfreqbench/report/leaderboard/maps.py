@@ -139,7 +139,7 @@ def read_maps(path: Path) -> dict[str, ShownMaps]:
     return found
 
 
-def open_data(board: Board) -> PasDataset | None:
+def _open_data(board: Board) -> PasDataset | None:
     """The board's data set, from the first path in its records where it still is; None where it is at none."""
     jobs = [record.job for record in board.records]
     for place in dict.fromkeys((job.dataset, job.receiver, job.polarization) for job in jobs):
@@ -152,12 +152,14 @@ def open_data(board: Board) -> PasDataset | None:
     return None
 
 
-def stored_maps(
-    board: Board, dataset: PasDataset, folders: Sequence[ResultsFolder], papers: BoardRow | None
-) -> list[ShownMaps]:
-    """The maps of the shown split, and those of the paper's method and the same transmitters on other splits."""
-    dozen = _dozen_of(board, dataset, folders)
-    if dozen is None or papers is None:
+def stored_maps(board: Board, folders: Sequence[ResultsFolder], papers: BoardRow | None) -> list[ShownMaps]:
+    """The maps of the shown split, and those of the paper's method and the same transmitters on other splits.
+
+    There are none where the data set or predictions are not found.
+    """
+    dataset = _open_data(board)
+    dozen = _dozen_of(board, dataset, folders) if dataset else None
+    if dataset is None or dozen is None or papers is None:
         return [dozen] if dozen else []
     distance_m = np.abs(dataset.tx_position_m[:, None] - np.asarray(dozen.tx_position_m)).max(axis=2)
     is_shown = distance_m.min(axis=1) < 1e-3  # positions of shown maps are rounded
@@ -250,15 +252,6 @@ def _shown_split(board: Board) -> str:
     return chosen[len(chosen) // 2]
 
 
-def scales() -> dict[str, str]:
-    """The colour bars of `power` and `error`, from low to high, as PNG files in base64."""
-    from xfreqbench.report.drawing.figures import map_png
-
-    ramp = np.linspace(0, 1, 64, dtype=np.float32)[None]
-    bars = {"power": "magma", "error": "viridis"}
-    return {name: b64encode(map_png(ramp, colours)).decode() for name, colours in bars.items()}
-
-
 def gallery(
     board: Board, folders: Sequence[ResultsFolder], shipped: Mapping[str, ShownMaps] | None = None
 ) -> dict[str, Any]:
@@ -269,7 +262,7 @@ def gallery(
     `pictures` are PNG files in base64 by name. `missing` says which methods have no pictures, and the command that
     stores what is missing.
     """
-    split, dataset = _shown_split(board), open_data(board)
+    split, dataset = _shown_split(board), _open_data(board)
     stored = _dozen_of(board, dataset, folders) if dataset else None
     cases: dict[str, list[dict[str, Any]]] = {}
     pictures: dict[str, str] = {}

@@ -24,12 +24,12 @@ def overview_markdown(
     benches: Sequence[BenchRecord],
     pages: Mapping[str, str],
     measurements_page: str,
-    sections: Sequence[str] = (),
-    last_sections: Sequence[str] = (),
+    claims: str,
+    worse: str,
 ) -> str:
     """The generated part of a short report; `pages` holds the link to each page by what it is of.
 
-    `sections` come before those of measurements, `last_sections` behind them.
+    `claims` and `worse` are the sections on the paper's claims and on what got worse, or empty.
     """
     scene = main_scene(ranked)
     of_scene = [board for board in ranked if board.scene == scene]
@@ -43,14 +43,14 @@ def overview_markdown(
         *_skill_matrix(compared),
         *rooms_overview(benches, pages.get(ROOMS, "")),
         *_time(of_scene, pages),
-        *sections,
+        claims,
         *_measured_parts(benches, measurements_page),
-        *last_sections,
+        worse,
         f"Every board, measurement and figure: {links}. CSV files beside these pages have every split, metric, "
         "carrier, pair of methods and learning curve.",
         legend(is_short=True),
     ]
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(filter(None, parts)) + "\n"
 
 
 def main_scene(ranked: Sequence[Board]) -> str:

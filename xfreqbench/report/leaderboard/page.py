@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections import Counter
 from collections.abc import Sequence
 from itertools import chain
@@ -19,7 +20,7 @@ from xfreqbench.report.leaderboard.captions import data_statement, facts, leak_s
 from xfreqbench.report.leaderboard.columns import COSTS, columns, cost_of, metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.figures import best_trivial
-from xfreqbench.report.leaderboard.maps import gallery, scales
+from xfreqbench.report.leaderboard.maps import gallery
 from xfreqbench.report.leaderboard.overview import main_scene
 from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
@@ -56,7 +57,7 @@ def write_page(results: Results, output_html: Path, since: Path | None = None) -
         "benches": [
             {"title": bench.title, **bench.figure.model_dump()} if bench.figure else None for bench in found.benches
         ],
-        "scales": scales(),
+        "scales": {"power": _scale("magma"), "error": _scale("viridis")},
     }
     html = render(
         "leaderboard/page.html",
@@ -77,6 +78,13 @@ def write_page(results: Results, output_html: Path, since: Path | None = None) -
     write_text(output_html, html)
     write_tables(chain.from_iterable(compared), output_html.with_suffix(".csv"))
     return output_html
+
+
+def _scale(colours: str) -> str:
+    """A colour bar from low to high, as a PNG file in base64."""
+    from xfreqbench.report.drawing.figures import map_png
+
+    return b64encode(map_png(np.linspace(0, 1, 64, dtype=np.float32)[None], colours)).decode()
 
 
 def require_page(found: RankedResults, output_html: Path) -> None:

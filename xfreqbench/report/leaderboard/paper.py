@@ -20,25 +20,21 @@ from xfreqbench.report.leaderboard.boards import Board, BoardRow, budget_text, p
 from xfreqbench.report.leaderboard.captions import published
 from xfreqbench.report.leaderboard.columns import metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison
-from xfreqbench.report.leaderboard.maps import open_data, require_own_maps, stored_maps
+from xfreqbench.report.leaderboard.maps import require_own_maps, stored_maps
 from xfreqbench.report.leaderboard.overview import main_boards, main_scene
 from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.system.files import write_text
 
-CLAIMS_CAPTION = (
-    "A claim *holds* where the whole interval of the difference of median SSIM × 1000, paired by transmitters and with "
-    "three seeds of each, lies above zero, and *does not hold* where it lies below. Data, rooms and sizes are others "
-    "than the paper's."
-)
 _DECIMALS = {"ssim": 4, "psnr": 2}
 _LEVEL = 90  # per cent of the maps, as in the paper
 
 
-def paper_page(found: RankedResults) -> tuple[str, dict[str, Callable[[Path], None]]] | None:
+def paper_page(found: RankedResults) -> tuple[str, str, dict[str, Callable[[Path], None]]] | None:
     """The page of the paper's claims with a verdict, and of published numbers beside ours, for the main scene.
 
-    It comes with functions that draw its figures to a path, by their links from the page. Claims are judged in several
-    budgets; tables and figures are of the one with most runs. None where the paper has numbers for no method.
+    Before it comes its section on the claims, empty without any; behind it come functions that draw its figures to a
+    path, by their links from the page. Claims are judged in several budgets; tables and figures are of the one with
+    most runs. None where the paper has numbers for no method.
     """
     main = main_scene(found.boards)
     ranked = [board for board in found.boards if board.scene == main]
@@ -47,20 +43,27 @@ def paper_page(found: RankedResults) -> tuple[str, dict[str, Callable[[Path], No
     content, shown = published(), main_boards(ranked)
     distributions, cdfs = _distributions(shown)
     maps, grids = _maps(shown, found)
+    claims = _claims_table(ranked)
+    caption = (
+        "A claim *holds* where the whole interval of the difference of median SSIM × 1000, paired by transmitters and "
+        "with three seeds of each, lies above zero, and *does not hold* where it lies below. Data, rooms and sizes are "
+        "others than the paper's."
+    )
     parts = [
         f"{content['citation']}: {content['conditions']}. Their data, rooms and receivers are others than ours, and "
         "the sizes of their models too, so that numbers do not compare. What can be compared are claims: which of two "
         "methods is better, and by how much.",
         "## Claims",
-        CLAIMS_CAPTION,
-        claims_table(ranked) or "None was measured.",
+        caption,
+        claims or "None was measured.",
         "## The paper's tables",
         "Ours, and the paper's number in round brackets; a median SSIM of ours has its 95 % interval in square ones.",
         *_papers_tables(content, shown),
         *distributions,
         *maps,
     ]
-    return "\n\n".join(parts) + "\n", cdfs | grids
+    section = f"## The paper's claims\n\n{caption}\n\n{claims}" if claims else ""
+    return section, "\n\n".join(parts) + "\n", cdfs | grids
 
 
 def _distributions(ranked: Sequence[Board]) -> tuple[list[str], dict[str, Callable[[Path], None]]]:
@@ -131,7 +134,7 @@ def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
     return has_options and ("config" in named or row.family == "learned")
 
 
-def claims_table(ranked: Sequence[Board]) -> str:
+def _claims_table(ranked: Sequence[Board]) -> str:
     """A row for each claim: ours with its aids at two budgets, and the method as the paper has it.
 
     A cell has the difference of average median SSIM × 1000 with its interval, and the verdict. Empty where nothing of
@@ -231,9 +234,8 @@ def ship_maps(results: Results, path: Path) -> Path:
     found = read_results(results)
     main, shown, known = main_scene(found.boards), [], set[str]()
     for board in found.boards:
-        dataset = open_data(board) if board.scene == main else None
         papers = _published_rows(board).get("XFreq-GS")
-        for maps in stored_maps(board, dataset, found.folders, papers) if dataset else ():
+        for maps in stored_maps(board, found.folders, papers) if board.scene == main else ():
             new = {key: run for key, run in maps.predicted.items() if key not in known}
             known |= new.keys()
             shown += [maps.model_copy(update={"predicted": new})] if new else []
@@ -256,8 +258,7 @@ def _maps(ranked: Sequence[Board], found: RankedResults) -> tuple[list[str], dic
     drawn: dict[str, Callable[[Path], None]] = {}
     for board in ranked:
         row = _published_rows(board).get("XFreq-GS")
-        dataset = open_data(board) if row else None
-        stored = stored_maps(board, dataset, found.folders, row) if dataset else []
+        stored = stored_maps(board, found.folders, row) if row else []
         known = found.maps | {key: maps for maps in stored for key in maps.predicted}
         ids = {split: row.by_split[split][0].id for split in board.splits if row and split in row.by_split}
         of_split = {split: known[key] for split, key in ids.items() if key in known}

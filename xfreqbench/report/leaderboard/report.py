@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,8 @@ from xfreqbench.report.leaderboard.boards import Board, machine_name, short_comm
 from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, legend, origin_statement
 from xfreqbench.report.leaderboard.comparison import comparisons_of
 from xfreqbench.report.leaderboard.figures import bench_figure, figures_of
-from xfreqbench.report.leaderboard.overview import main_scene, overview_markdown
-from xfreqbench.report.leaderboard.paper import CLAIMS_CAPTION, claims_table, paper_page
+from xfreqbench.report.leaderboard.overview import overview_markdown
+from xfreqbench.report.leaderboard.paper import paper_page
 from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
 from xfreqbench.report.leaderboard.tables import csv_tables, ranking_table, require_own_table, write_csv
@@ -67,22 +66,24 @@ class _Page:
 
 
 def write_report(
-    results: Results, output_md: Path, details: Path | None = None, since: Path | None = None
+    results: Results, output_md: Path | None, details: Path | None = None, since: Path | None = None
 ) -> list[Path]:
     """Write a Markdown report, its figures and tables from `results`: read ones, results folders or files of records.
 
     Returns the files, the report first, then other pages, then figures and tables. With a folder `details` the report
     is a short one, and a page for each scene, one of the paper's claims, one of unseen rooms and one of the
-    measurements are written there. With earlier results `since` it says what got worse. In an existing page only the
-    text between the two marker comments is replaced. Raises `DataError` where there are no records and as `boards`
-    does, `OutputExistsError` where a page, a figure or a table is another file, and `StorageError`.
+    measurements are written there, without `output_md` these alone. With earlier results `since` it says what got
+    worse. In an existing page only the text between the two marker comments is replaced. Raises `DataError` where there
+    are no records and as `boards` does, `OutputExistsError` where a page, a figure or a table is another file, and
+    `StorageError`.
     """
     from xfreqbench.report.drawing.figures import require_own_figure
 
     found = read_results(results)
+    pages = []
     if details is not None:
-        pages = _pages(found, output_md, details, since)
-    else:
+        pages = _pages(found, output_md or Path(), details, since)[0 if output_md is not None else 1 :]
+    elif output_md is not None:
         text = report_markdown(found.boards, found.benches, _worse(found, since))
         pages = [_Page(output_md, "Benchmark", text, found.boards, found.benches)]
     places = [os.path.realpath(page.path) for page in pages]
@@ -119,15 +120,15 @@ def report_text(results: Results, details: Path | None = None, since: Path | Non
     return _Page(Path(), "", report_markdown(found.boards, found.benches, _worse(found, since), is_alone=True)).text
 
 
-def _worse(found: RankedResults, since: Path | None) -> list[str]:
-    """The section on what got worse; none without earlier results."""
+def _worse(found: RankedResults, since: Path | None) -> str:
+    """The section on what got worse; empty without earlier results."""
     if since is None:
-        return []
+        return ""
     rows, most = got_worse(read_results(since).records, found.records), 6
     shown = f" The largest losses of {len(rows)}:" if len(rows) > most else ""
     caption = f"Average median SSIM beside that in {literal(since.stem)}, paired by transmitters.{shown}"
     said = table(WORSE_HEADER, rows[:most], prose) if rows else NOTHING_WORSE
-    return [f"## What got worse\n\n{caption}\n\n{said}"]
+    return f"## What got worse\n\n{caption}\n\n{said}"
 
 
 def _pages(found: RankedResults, output_md: Path, details: Path, since: Path | None) -> list[_Page]:
@@ -140,12 +141,10 @@ def _pages(found: RankedResults, output_md: Path, details: Path, since: Path | N
         (scene, _Page(details / f"{slug_of(scene)}.md", heading(scene), report_markdown(ranked, ()), ranked))
         for scene, ranked in by_scene.items()
     ]
-    claims = []
+    claims = ""
     if paper := paper_page(found):
-        text, drawn = paper
+        claims, text, drawn = paper
         pages.append(("the paper's claims", _Page(details / "paper.md", "The paper's claims", text, drawn=drawn)))
-        claimed = claims_table(by_scene[main_scene(found.boards)])
-        claims = [f"## The paper's claims\n\n{CLAIMS_CAPTION}\n\n{claimed}"] if claimed else []
     if of_rooms := [bench for bench in found.benches if bench.bench == ROOMS]:
         text = "\n\n".join(_bench_sections(of_rooms)) + "\n"
         pages.append((ROOMS, _Page(details / "unseen-rooms.md", "Rooms that were never seen", text, (), of_rooms)))
@@ -159,7 +158,7 @@ def _pages(found: RankedResults, output_md: Path, details: Path, since: Path | N
 
 
 def report_markdown(
-    ranked: Iterable[Board], benches: Sequence[BenchRecord], worse: Sequence[str] = (), is_alone: bool = False
+    ranked: Iterable[Board], benches: Sequence[BenchRecord], worse: str = "", is_alone: bool = False
 ) -> str:
     """The generated part of a whole report: tables of every board and of every measurement, with links to figures.
 
@@ -168,8 +167,8 @@ def report_markdown(
     own = [bench for bench in benches if bench.bench == "benchmark"]
     others = [bench for bench in benches if bench.bench != "benchmark"]
     shown = [_board_section(board, is_alone) for board in ranked]
-    sections = [_bench_sections(own, is_alone), shown, worse, _bench_sections(others, is_alone), [legend()]]
-    return "\n\n".join(chain.from_iterable(sections)) + "\n"
+    parts = [*_bench_sections(own, is_alone), *shown, worse, *_bench_sections(others, is_alone), legend()]
+    return "\n\n".join(filter(None, parts)) + "\n"
 
 
 def _board_section(board: Board, is_alone: bool) -> str:

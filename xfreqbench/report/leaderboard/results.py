@@ -12,7 +12,7 @@ from pathlib import Path
 from xfreqbench.data.shipped import fetch_file, registered
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import METRICS
-from xfreqbench.report.leaderboard.boards import Board, boards, comparable, record_key
+from xfreqbench.report.leaderboard.boards import Board, boards, record_key
 from xfreqbench.report.leaderboard.maps import ShownMaps, read_maps
 from xfreqbench.report.leaderboard.unseen_rooms import is_of_rooms, room_tables
 from xfreqbench.runs.folder import RECORDS_NAME, ResultsFolder
@@ -94,16 +94,6 @@ def read_results(results: Results) -> RankedResults:
     num_truncated = sum(folder.stored.num_truncated for folder in folders)
     every = tuple(record for record in records.values() if not is_of_rooms(record))  # each once
     return RankedResults(folders, every, boards(every, sources if len(folders) > 1 else None), benches, num_truncated)
-
-
-def ranked_beside(results: Path, records: Iterable[RunRecord]) -> tuple[RunRecord, ...]:
-    """The records of a results folder that are ranked on the same boards as `records`, and `records` themselves.
-
-    Those of other versions of protocol or metrics, which cannot be ranked with them, are left out.
-    """
-    stored = ResultsFolder(results).stored.records
-    keys = {comparable(record) for record in records}
-    return tuple(record for record in stored if comparable(record) in keys)
 
 
 def _latest_benches(benches: Iterable[BenchRecord]) -> list[BenchRecord]:

@@ -46,7 +46,7 @@ def compare_results(a: Path, b: Path) -> str:
     compared with itself. Raises `DataError` where there are no records, or none that may be compared.
     """
     of_a, of_b = (
-        {comparable(board.records[0]): board for board in boards(records_at(path), by_budget=False)} for path in (a, b)
+        {comparable(board.records[0]): board for board in boards(_records_at(path), by_budget=False)} for path in (a, b)
     )
     sections = [section for key in of_a if key in of_b and (section := _section(of_a[key], of_b[key]))]
     if not sections:
@@ -81,7 +81,7 @@ def got_worse(before: Sequence[RunRecord], after: Sequence[RunRecord]) -> list[l
     return [cells for _, cells in sorted(found)]
 
 
-def records_at(path: Path) -> Sequence[RunRecord]:
+def _records_at(path: Path) -> Sequence[RunRecord]:
     """The records of a results folder or a file; of `FOLDER/NAME`, those in the folder with this method or id.
 
     `FOLDER/METHOD@DIGITS` are those of the version of a method whose code's hash begins so.

@@ -15,13 +15,14 @@ from pydantic import InstanceOf
 from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.report.drawing.markdown import paragraph, table
 from xfreqbench.report.drawing.templates import SOFTWARE
-from xfreqbench.report.leaderboard.boards import Board, boards, short_name
+from xfreqbench.report.leaderboard.boards import Board, boards, comparable, short_name
 from xfreqbench.report.leaderboard.captions import leak_statement, notes
 from xfreqbench.report.leaderboard.columns import BRIEF, COSTS, OTHER_METRICS, columns
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.figures import learning_curves
 from xfreqbench.report.leaderboard.results import read_results, results_at
 from xfreqbench.report.leaderboard.unseen_rooms import is_of_rooms
+from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.arguments import FilePath, checked
 from xfreqbench.system.files import atomic_path, require_own, storage_errors, write_columns
@@ -35,6 +36,15 @@ class Leaderboard:
     """Records of runs that are shown as tables: one for each data set, protocol and set of splits."""
 
     records: tuple[RunRecord, ...]
+
+    @classmethod
+    def beside(cls, results: Path, records: Iterable[RunRecord]) -> Leaderboard:
+        """The records of a results folder that are ranked on the same boards as `records`, and `records` themselves.
+
+        Those of other versions of protocol or metrics, which cannot be ranked with them, are left out.
+        """
+        keys = {comparable(record) for record in records}
+        return cls(tuple(record for record in ResultsFolder(results).records if comparable(record) in keys))
 
     def __str__(self) -> str:
         """The ranking of every data set and protocol in a few columns, to be read in a terminal; raises as `boards`."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import compress, groupby
 from math import inf, isnan, nan
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from xfreqbench.data.recipe import recipe_name
 from xfreqbench.data.unseen_rooms import ASKED_GHZ, NUMS_HEARD, ROOM_PROTOCOLS
@@ -53,74 +53,57 @@ def room_tables(records: Iterable[RunRecord]) -> list[BenchRecord]:
     ordered = sorted(filter(is_of_rooms, records), key=lambda record: (board(record), record.time_utc))
     found = [list(group) for _, group in groupby(ordered, key=board)]
     num_boards = Counter(place(group[0]) for group in found)
-    return [
-        table
-        for group in found
-        for table in _tables(
-            group, recipe_name("", group[0].recipe).strip("@") if num_boards[place(group[0])] > 1 else ""
-        )
-    ]
+    tables = []
+    for group in found:
+        data = recipe_name("", group[0].recipe).strip("@")
+        tables += _tables(group, data if num_boards[place(group[0])] > 1 else "")
+    return tables
 
 
 def _tables(records: Sequence[RunRecord], data: str) -> list[BenchRecord]:
     """Tables of one board; `data` tells it from others of its family, and is empty where there are none."""
-    budgets: dict[str, set[str]] = {}
-    seeds: dict[str, set[int]] = {}
-    for record in records:
-        budgets.setdefault(_without_choice(_name(record)), set()).add(budget_text(record.job.budget))
-        seeds.setdefault(_name(record), set()).add(record.job.seed)
-    runs: _Runs = {}
-    for record in records:
-        label = name = _name(record)
-        if name not in EVERY_TRIVIAL:
-            label += f", {budget_text(record.job.budget)}" if len(budgets[_without_choice(name)]) > 1 else ""
-            label += f", seed {record.job.seed}" if len(seeds[name]) > 1 else ""
-        runs.setdefault((_part(record), label), {})[int(record.job.split.rpartition("-")[2])] = record
-
-    def standing(row: tuple[str, str]) -> tuple[bool, float]:
-        reached = _skill(row[1], _values(runs, row[0], max(runs[row]), _unheard))
-        return row[0] != _TRAINED, inf if isnan(reached) else -reached
-
-    runs = {row: runs[row] for row in sorted(runs, key=standing)}  # the best first
-    carriers = {format_ghz(ghz_to_hz(each)): _at_carrier(each) for each in ASKED_GHZ}
+    runs = _runs(records)
     types = sorted({str(each) for record in records for each in record.settings[ROOM_TYPES]})
-    last = records[-1]
+    choices: dict[str, dict[str, _Chosen]] = {
+        "": {"": _unheard},
+        "carrier": {format_ghz(ghz_to_hz(each)): partial(_at_carriers, [each]) for each in ASKED_GHZ},
+        "type of room": {each: partial(_of_type, each) for each in types},
+        "line of sight": {"in sight": partial(_in_sight, "1"), "hidden": partial(_in_sight, "0")},
+        _MORE[-1]: {"": _unheard},
+    }
+    figures = {"": _figure(runs), _MORE[-1]: _curve(runs)}
+    last, machines = records[-1], machine_names(records)
     commits = Counter(short_commit(record.git_commit) for record in records)
-    others = f" Commits: {', '.join(f'{commit} ({count} runs)' for commit, count in sorted(commits.items()))}."
-    machines = machine_names(records)
-    others = (others if len(commits) > 1 else "") + (f" Machines: {'; '.join(machines)}." if len(machines) > 1 else "")
+    note = _note(last)
+    if len(commits) > 1:
+        note += f" Commits: {', '.join(f'{commit} ({count} runs)' for commit, count in sorted(commits.items()))}."
+    note += f" Machines: {'; '.join(machines)}." if len(machines) > 1 else ""
     tables = []
-    for what, choices, figure in (
-        ("", {"": _unheard}, _figure(runs)),
-        ("carrier", carriers, None),
-        ("type of room", {each: _of_type(each) for each in types}, None),
-        ("line of sight", {"in sight": _in_sight("1"), "hidden": _in_sight("0")}, None),
-        ("rooms learned from", {"": _unheard}, _curve(runs)),
-    ):
+    for what, named in choices.items():
         is_curve = what == _MORE[-1]
-        if is_curve and figure is None:
+        if is_curve and figures[what] is None:
             continue
+        columns = ("method", "rooms", *([what] if all(named) else []))
         rows = [
             (label, *filter(None, [part, name]), *_cells(runs, part, label, chosen), *_seconds(found))
             for (part, label), found in runs.items()
-            for name, chosen in choices.items()
+            for name, chosen in named.items()
         ]
-        columns = ("method", "rooms", *([what] if all(choices) else []))
+        shown = [
+            row
+            for row in rows
+            if any(cell != ABSENT for cell in row[len(columns) : -len(_MORE)]) and not (is_curve and row[-1] == ABSENT)
+        ]
         tables.append(
             BenchRecord(
                 bench=ROOMS,
                 title=" · ".join(filter(None, [last.scene, last.job.protocol, data, f"by {what}" if what else ""])),
                 command=f"xfreqbench run --data {last.job.dataset} --protocol {last.job.protocol} --methods … "
                 "--results results",
-                note=_note(last) + others,
+                note=note,
                 columns=(*columns, *(f"{number} heard" for number in NUMS_HEARD), *_MORE),
-                rows=tuple(
-                    row
-                    for row in rows
-                    if any(cell != ABSENT for cell in row[len(columns) : -len(_MORE)])
-                    and not (is_curve and row[-1] == ABSENT)
-                ),
-                figure=figure,
+                rows=tuple(shown),
+                figure=figures.get(what),
                 hardware=last.hardware,
                 software=last.software,
                 git_commit=last.git_commit,
@@ -130,17 +113,33 @@ def _tables(records: Sequence[RunRecord], data: str) -> list[BenchRecord]:
     return tables
 
 
-def _name(record: RunRecord) -> str:
-    return " ".join([record.job.method, *record.job.overrides])
+def _runs(records: Sequence[RunRecord]) -> _Runs:
+    """The runs of each row, the best row first; a label says budget and seed where a method has several."""
+    budgets: dict[str, set[str]] = {}
+    seeds: dict[str, set[int]] = {}
+    names = [" ".join([record.job.method, *record.job.overrides]) for record in records]
+    for name, record in zip(names, records, strict=True):
+        budgets.setdefault(_without_choice(name), set()).add(budget_text(record.job.budget))
+        seeds.setdefault(name, set()).add(record.job.seed)
+    runs: _Runs = {}
+    for name, record in zip(names, records, strict=True):
+        label = name
+        if name not in EVERY_TRIVIAL:
+            label += f", {budget_text(record.job.budget)}" if len(budgets[_without_choice(name)]) > 1 else ""
+            label += f", seed {record.job.seed}" if len(seeds[name]) > 1 else ""
+        part, number = record.job.split.rpartition("heard-")[0], record.job.split.rpartition("-")[2]
+        runs.setdefault((part.rstrip("-") or _TRAINED, label), {})[int(number)] = record
+
+    def standing(row: tuple[str, str]) -> tuple[bool, float]:
+        reached = _skill(row[1], _values(runs, row[0], max(runs[row]), _unheard))
+        return row[0] != _TRAINED, inf if isnan(reached) else -reached
+
+    return {row: runs[row] for row in sorted(runs, key=standing)}
 
 
 def _without_choice(name: str) -> str:
     """A method's name without the option that chooses training rooms."""
     return re.sub(r" trained_on=\d+", "", name)
-
-
-def _part(record: RunRecord) -> str:
-    return record.job.split.rpartition("heard-")[0].rstrip("-") or _TRAINED
 
 
 def _note(record: RunRecord) -> str:
@@ -154,34 +153,24 @@ def _note(record: RunRecord) -> str:
     )
 
 
-def _ssim(record: RunRecord) -> Float[FloatArray, "R T F"]:
-    """SSIM by room, transmitter and carrier."""
-    carriers = len(record.scores["ssim"].median_by_carrier_hz)
-    return np.array(record.ssim_by_tx).reshape(len(record.ssim_by_tx), -1, carriers)
+def _at_carriers(carriers_ghz: Sequence[float], record: RunRecord) -> list[FloatArray]:
+    known = sorted(map(float, record.scores["ssim"].median_by_carrier_hz))
+    by_carrier = np.array(record.ssim_by_tx).reshape(len(record.ssim_by_tx), -1, len(known))  # rooms, transmitters, …
+    return list(by_carrier[:, :, [known.index(ghz_to_hz(each)) for each in carriers_ghz]])
 
 
-def _at_carrier(*carriers_ghz: float) -> _Chosen:
-    def chosen(record: RunRecord) -> list[FloatArray]:
-        known = sorted(map(float, record.scores["ssim"].median_by_carrier_hz))
-        return list(_ssim(record)[:, :, [known.index(ghz_to_hz(each)) for each in carriers_ghz]])
-
-    return chosen
+def _unheard(record: RunRecord) -> list[FloatArray]:
+    return _at_carriers(ASKED_GHZ, record)
 
 
-_unheard = _at_carrier(*ASKED_GHZ)
+def _of_type(name: str, record: RunRecord) -> list[FloatArray]:
+    return list(compress(_unheard(record), [kind == name for kind in record.settings[ROOM_TYPES]]))
 
 
-def _of_type(name: str) -> _Chosen:
-    return lambda record: list(compress(_unheard(record), [kind == name for kind in record.settings[ROOM_TYPES]]))
-
-
-def _in_sight(flag: str) -> _Chosen:
-    def chosen(record: RunRecord) -> list[FloatArray]:
-        flags = record.settings[ROOM_SIGHT]
-        scores = [room[np.array([*seen]) == flag] for room, seen in zip(_unheard(record), flags, strict=True)]
-        return [room for room in scores if room.size]
-
-    return chosen
+def _in_sight(flag: str, record: RunRecord) -> list[FloatArray]:
+    flags = record.settings[ROOM_SIGHT]
+    scores = [room[np.array([*seen]) == flag] for room, seen in zip(_unheard(record), flags, strict=True)]
+    return [room for room in scores if room.size]
 
 
 def _median(scores: list[FloatArray]) -> float:
@@ -232,9 +221,7 @@ def _seconds(run: dict[int, RunRecord]) -> list[str]:
 def _figure(runs: _Runs) -> BenchFigure | None:
     """The skill of what is not trivial, by the number of transmitters heard."""
     points = [
-        BenchPoint(
-            series=f"{label}, {part}", label="", x=number, y=_skill(label, _values(runs, part, number, _unheard))
-        )
+        (f"{label}, {part}", float(number), _skill(label, _values(runs, part, number, _unheard)))
         for (part, label), run in runs.items()
         if label not in EVERY_TRIVIAL
         for number in sorted(run)
@@ -245,24 +232,22 @@ def _figure(runs: _Runs) -> BenchFigure | None:
 def _curve(runs: _Runs) -> BenchFigure | None:
     """The skill of methods that learned from several numbers of rooms, by that number."""
     points = [
-        BenchPoint(
-            series=f"{_without_choice(label)}, {part}, {number} heard",
-            label="",
-            x=record.counts[NUM_ROOMS],
-            y=_skill(label, _values(runs, part, number, _unheard)),
+        (
+            f"{_without_choice(label)}, {part}, {number} heard",
+            record.counts[NUM_ROOMS],
+            _skill(label, _values(runs, part, number, _unheard)),
         )
         for (part, label), run in runs.items()
         for number, record in run.items()
         if number in (min(NUMS_HEARD), max(NUMS_HEARD)) and NUM_ROOMS in record.counts
     ]
-    lengths = Counter(point.series for point in points)
-    points = [point for point in points if lengths[point.series] > 1]
-    return _drawn("rooms learned from", points, log_x=True)
+    lengths = Counter(series for series, *_ in points)
+    return _drawn("rooms learned from", [point for point in points if lengths[point[0]] > 1], log_x=True)
 
 
-def _drawn(x_label: str, points: Sequence[BenchPoint], log_x: bool) -> BenchFigure | None:
-    """A figure of the points of known skill; None without any."""
-    known = tuple(point for point in points if not isnan(point.y))
+def _drawn(x_label: str, points: Sequence[tuple[str, float, float]], log_x: bool) -> BenchFigure | None:
+    """A figure of the points of known skill, each with its series, x and y; None without any."""
+    known = tuple(BenchPoint(series=series, label="", x=x, y=y) for series, x, y in points if not isnan(y))
     y_label = "skill over the best trivial predictor"
     return BenchFigure(x_label=x_label, y_label=y_label, log_x=log_x, points=known, x_is_cost=False) if known else None
 

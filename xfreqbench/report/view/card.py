@@ -11,7 +11,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -91,7 +90,11 @@ def write_card(path: Path, folder: Path, license_id: str, tell: Callable[[str], 
     what takes long. Raises `DataError` for what is no data or is damaged, `XFreqBenchError` for another licence, or
     where mlcroissant is not installed, `OutputExistsError` and `StorageError`.
     """
-    croissant, license_id = _croissant(), _spdx(license_id)
+    try:
+        import mlcroissant
+    except ImportError as error:
+        raise XFreqBenchError('A card needs the extra "share". Run: pip install "xfreqbench[share]"') from error
+    license_id = _spdx(license_id)
     require_empty(folder)
     rooms = open_collection(path) if path.is_dir() else None
     if rooms:
@@ -108,7 +111,7 @@ def write_card(path: Path, folder: Path, license_id: str, tell: Callable[[str], 
         for name, table in content.tables.items():
             write_columns(written / name, table)
         sums = {name: _sha256(written / name) for name in _names(written)}
-        metadata = _metadata(croissant, content, license_id, written, sums)
+        metadata = _metadata(mlcroissant, content, license_id, written, sums)
         (written / METADATA).write_text(json.dumps(metadata, indent=2) + "\n", encoding="utf-8")
         (written / CARD).write_text(_card(content, license_id, written), encoding="utf-8")
         sums |= {name: _sha256(written / name) for name in (CARD, METADATA)}
@@ -203,14 +206,6 @@ def _sample(some: PasDataset) -> Table:
         columns["in_sight"] = some.tables["line_of_sight"][some.tx_index].tolist()
         columns["power_db"] = [round(each, 3) if np.isfinite(each) else "" for each in power_db(some).tolist()]
     return columns
-
-
-def _croissant() -> ModuleType:
-    try:
-        import mlcroissant
-    except ImportError as error:
-        raise XFreqBenchError('A card needs the extra "share". Run: pip install "xfreqbench[share]"') from error
-    return mlcroissant
 
 
 def _spdx(license_id: str) -> str:

@@ -17,8 +17,7 @@ from xfreqbench.report.view.describe import CarrierSummary, links_in_words
 from xfreqbench.report.view.figures import NUMBERED_RAYS, Rgba, group_colour, point_along, ray_colour
 from xfreqbench.report.view.plan import MAX_RAYS, RAY_RANGE_DB, ShownRoom, ViewPlan
 from xfreqbench.scene.glb_writer import material_hex
-from xfreqbench.scene.imported import Slab
-from xfreqbench.scene.materials import Layer, complex_permittivity, conductivity_s_m, material_bands
+from xfreqbench.scene.materials import complex_permittivity, conductivity_s_m, material_bands
 from xfreqbench.scene.meshes import slabs_of
 from xfreqbench.units import format_ghz, format_ghz_list
 
@@ -33,6 +32,21 @@ def view_page(
     """
     splits, refusals = _protocols(view.dataset) if view.dataset else ([], [])
     room, num_tx = view.room, view.header.num_tx
+    rays = [
+        (str(index), f"{ray.level_db:.1f}".replace("-", "−"), f"{ray.delay_s * 1e9:.2f}", ray.label)
+        for index, ray in enumerate(room.rays, start=1)
+    ]
+    split_rows = [
+        (
+            split.name,
+            f"{len(split.train):,}",
+            f"{len(split.test):,}",
+            str(split.num_without_path),
+            "yes, at other carriers" if split.shares_transmitters else "no",
+            f"{split.nearest_trained_m:.2f}",
+        )
+        for split in splits
+    ]
     of_splits = ("split", "trained on", "tested on", "left out, no path", "same transmitters", "nearest trained (m)")
     others = [] if room.in_sight is None else np.flatnonzero(room.in_sight != room.in_sight[room.tx]).tolist()
     return render(
@@ -55,10 +69,10 @@ def view_page(
         tx_place=_metres(view.room.tx_m),
         max_rays=MAX_RAYS,
         ray_range_db=f"{RAY_RANGE_DB:g}",
-        rays=_ray_table(view),
+        rays=PageTable(("ray", "power (dB)", "delay (ns)", "what it meets"), rays),
         materials=_material_table(view),
         carriers=_carrier_table(summary) if summary else None,
-        splits=PageTable(of_splits, [_split_row(split) for split in splits]),
+        splits=PageTable(of_splits, split_rows),
         refusals=refusals,
         origin=PageTable(("what", "value"), [*_origin_rows(view)]),
     )
@@ -124,9 +138,11 @@ def _lead(view: ViewPlan) -> str:
 
 def _facts(view: ViewPlan) -> dict[str, str]:
     header, dataset = view.header, view.dataset
-    in_sight = view.room.in_sight
+    in_sight, receiver = view.room.in_sight, header.receiver
     facts = {
-        "Receiver": _receiver(view),
+        "Receiver": f"{receiver.rows} × {receiver.cols} elements {receiver.spacing_wavelengths:g} wavelengths apart at "
+        f"{_metres(receiver.position_m)}, boresight {_vector(receiver.boresight)}, {receiver.antenna}, "
+        f"in plane {receiver.plane} of its frame",
         "Transmitters": f"{header.num_tx:,}, sight of the receiver not published"
         if in_sight is None
         else f"{in_sight.sum():,} in sight of the receiver, {(~in_sight).sum():,} in shadow",
@@ -146,23 +162,6 @@ def _facts(view: ViewPlan) -> dict[str, str]:
     return facts | {"Shown": f"transmitter {view.room.tx} at {_metres(view.room.tx_m)}"}
 
 
-def _receiver(view: ViewPlan) -> str:
-    receiver = view.header.receiver
-    return (
-        f"{receiver.rows} × {receiver.cols} elements {receiver.spacing_wavelengths:g} wavelengths apart at "
-        f"{_metres(receiver.position_m)}, boresight {_vector(receiver.boresight)}, {receiver.antenna}, "
-        f"in plane {receiver.plane} of its frame"
-    )
-
-
-def _ray_table(view: ViewPlan) -> PageTable:
-    rows = [
-        (str(index), f"{ray.level_db:.1f}".replace("-", "−"), f"{ray.delay_s * 1e9:.2f}", ray.label)
-        for index, ray in enumerate(view.room.rays, start=1)
-    ]
-    return PageTable(("ray", "power (dB)", "delay (ns)", "what it meets"), rows)
-
-
 def _material_table(view: ViewPlan) -> PageTable:
     header = (
         "material",
@@ -173,29 +172,27 @@ def _material_table(view: ViewPlan) -> PageTable:
         f"ε′, {format_ghz(view.carrier_hz)}",
         "σ (S/m)",
     )
-    return PageTable(
-        header, [_material_row(view, slab, layer) for slab in slabs_of(view.room.meshes) for layer in slab.layers]
-    )
-
-
-def _material_row(view: ViewPlan, slab: Slab, layer: Layer) -> tuple[str, ...]:
-    material, thickness_m = layer
     carriers = view.header.carrier_hz.tolist() if view.dataset else [view.carrier_hz]
-    bands = material_bands(material)
-    outside = [carrier for carrier in carriers if not any(band.contains(carrier) for band in bands)]
-    permittivity = complex_permittivity(material, view.carrier_hz, "extrapolate")
-    sigma_s_m = conductivity_s_m(permittivity, view.carrier_hz)
-    return (
-        str(material).replace("_", " ") + (f", layer of {slab.material}" if len(slab.layers) > 1 else ""),
-        f"{thickness_m * 1e3:g}",
-        str(sum(mesh.slab == slab for mesh in view.room.meshes)),
-        ", ".join(f"{band.low_ghz:g}–{band.high_ghz:g}" for band in bands)
-        if isinstance(material, str)
-        else "none: the scene's own, the same at every carrier",
-        f"{format_ghz_list(outside)}, extrapolated" if outside else ABSENT,
-        f"{permittivity.real:.3g}",
-        f"{sigma_s_m:,.0f}" if sigma_s_m > 1000 else f"{sigma_s_m:.3g}",
-    )
+    rows = []
+    every = [(slab, layer) for slab in slabs_of(view.room.meshes) for layer in slab.layers]
+    for slab, (material, thickness_m) in every:
+        bands = material_bands(material)
+        outside = [carrier for carrier in carriers if not any(band.contains(carrier) for band in bands)]
+        permittivity = complex_permittivity(material, view.carrier_hz, "extrapolate")
+        sigma_s_m = conductivity_s_m(permittivity, view.carrier_hz)
+        cells = (
+            str(material).replace("_", " ") + (f", layer of {slab.material}" if len(slab.layers) > 1 else ""),
+            f"{thickness_m * 1e3:g}",
+            str(sum(mesh.slab == slab for mesh in view.room.meshes)),
+            ", ".join(f"{band.low_ghz:g}–{band.high_ghz:g}" for band in bands)
+            if isinstance(material, str)
+            else "none: the scene's own, the same at every carrier",
+            f"{format_ghz_list(outside)}, extrapolated" if outside else ABSENT,
+            f"{permittivity.real:.3g}",
+            f"{sigma_s_m:,.0f}" if sigma_s_m > 1000 else f"{sigma_s_m:.3g}",
+        )
+        rows.append(cells)
+    return PageTable(header, rows)
 
 
 def _carrier_table(summary: CarrierSummary) -> PageTable:
@@ -236,17 +233,6 @@ def _protocols(dataset: PasDataset) -> tuple[list[Split], list[str]]:
                     refusal = str(second)
             refusals.append(refusal)
     return splits, refusals
-
-
-def _split_row(split: Split) -> tuple[str, ...]:
-    return (
-        split.name,
-        f"{len(split.train):,}",
-        f"{len(split.test):,}",
-        str(split.num_without_path),
-        "yes, at other carriers" if split.shares_transmitters else "no",
-        f"{split.nearest_trained_m:.2f}",
-    )
 
 
 def _origin_rows(view: ViewPlan) -> Iterator[tuple[str, str]]:

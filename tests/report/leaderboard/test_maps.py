@@ -18,7 +18,7 @@ from xfreqbench.cli.main import app
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.report.leaderboard.boards import boards
-from xfreqbench.report.leaderboard.maps import NUM_SHOWN, gallery, open_data, read_maps
+from xfreqbench.report.leaderboard.maps import NUM_SHOWN, gallery, read_maps
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.paper import ship_maps
 from xfreqbench.report.leaderboard.report import write_report
@@ -182,7 +182,7 @@ def test_the_command_that_stores_missing_predictions_makes_the_same_records(tmp_
 def test_data_that_another_program_holds_open_are_passed_over(tmp_path: Path) -> None:
     data = paper_dataset(tmp_path / "data.h5")
     (board,) = boards(xb.run(data, "nearest", results=tmp_path / "results", targets_ghz=[24.25]))
-    assert open_data(board) is not None
+    assert "Without stored predictions" in gallery(board, [])["missing"]
     with data.path.open("rb") as held:
         fcntl.flock(held, fcntl.LOCK_EX)  # as HDF5 does to write
-        assert open_data(board) is None
+        assert "is not here" in gallery(board, [])["missing"]
