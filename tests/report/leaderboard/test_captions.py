@@ -19,6 +19,7 @@ from xfreqbench.report.leaderboard.boards import boards, machine_name
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.report.leaderboard.side_by_side import compare_results
 from xfreqbench.runs.benchmark import Benchmark, plan_benchmark
+from xfreqbench.runs.folder import read_records
 from xfreqbench.runs.records import Job
 
 UNSEEN = make_record(shares_transmitters=False, nearest_trained_m=0.2)
