@@ -132,12 +132,19 @@ def plot_cost(figure: BenchFigure, path: Path) -> None:
 
 
 def _write_labels(canvas: Figure, axis: Any, points: Sequence[BenchPoint], series: Sequence[str]) -> None:
-    """Write each label in the colour of its series where it covers least of others, with a line to its point."""
+    """Write each label in the colour of its series where it covers least of others, with a line to its point.
+
+    It may be on eight sides of its point, nearer places first. Of a place, the area in square pixels counts that it
+    would cover of others, and that would lie outside the frame.
+    """
     with any_letters():
         canvas.draw_without_rendering()
     canvas.set_layout_engine("none")  # the axes stay where the places were looked for
     named = {(point.label, point.x, point.y): point.series for point in reversed(points)}
-    taken = [_around(*axis.transData.transform((x, y)).tolist()) for _, x, y in named]
+    centres = {(x, y): axis.transData.transform((x, y)).tolist() for _, x, y in named}
+    taken = [_around(*centres[x, y]) for _, x, y in named]
+    frame, points_per_px = axis.bbox.frozen(), 72 / canvas.dpi
+    sides = ((1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1), (-1, 0))
     for (label, x, y), name in reversed(named.items()):
         colour = COLOURS[series.index(name) % len(COLOURS)]
         tie = {"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkA": 0, "shrinkB": 0}
@@ -145,30 +152,22 @@ def _write_labels(canvas: Figure, axis: Any, points: Sequence[BenchPoint], serie
         text = axis.annotate(shown(label), (x, y), **place, fontsize=7, color=colour)
         with any_letters():
             size = text.get_window_extent().padded(2)
-        boxes = [_around(*place, size.width, size.height) for place in _places(axis, x, y, size)]
-        best = min(boxes, key=lambda box: _covered(box, taken, axis.bbox.frozen()))
-        points_per_px = 72 / canvas.dpi
+        (at_x, at_y), width, height = centres[x, y], size.width, size.height
+        boxes = [
+            _around(at_x + right * (width / 2 + gap), at_y + up * (height / 2 + gap), width, height)
+            for gap in (9, 16, 26, 40)
+            for right, up in sides
+        ]
+        covered = [
+            box.width * box.height - _overlap(box, frame) + sum(_overlap(box, each) for each in taken) for box in boxes
+        ]
+        best = boxes[covered.index(min(covered))]
         text.set_position(((best.x0 - size.x0) * points_per_px, (best.y0 - size.y0) * points_per_px))
         taken.append(best)
 
 
-def _places(axis: Any, x: float, y: float, size: Bbox) -> list[tuple[float, float]]:
-    """Possible centres of a label, in pixels: on eight sides of its point, the nearest first."""
-    at_x, at_y = axis.transData.transform((x, y)).tolist()
-    return [
-        (at_x + right * (size.width / 2 + gap), at_y + up * (size.height / 2 + gap))
-        for gap in (9, 16, 26, 40)
-        for right, up in ((1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1), (-1, 0))
-    ]
-
-
 def _around(x: float, y: float, width: float = 10.0, height: float = 10.0) -> Bbox:
     return Bbox.from_bounds(x - width / 2, y - height / 2, width, height)
-
-
-def _covered(box: Bbox, taken: Sequence[Bbox], frame: Bbox) -> float:
-    """Area in square pixels of others that a label would cover, and of itself that would lie outside the frame."""
-    return box.width * box.height - _overlap(box, frame) + sum(_overlap(box, other) for other in taken)
 
 
 def _overlap(box: Bbox, other: Bbox) -> float:
