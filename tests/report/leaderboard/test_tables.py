@@ -30,6 +30,7 @@ from xfreqbench.report.leaderboard.columns import BRIEF, COSTS, columns, metric_
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.report import report_text, write_report
+from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.report.leaderboard.tables import Leaderboard, csv_tables
 
 
@@ -290,3 +291,14 @@ def test_without_pandas_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(XFreqBenchError, match=r'pip install "xfreqbench\[notebooks\]"'):
         Leaderboard(tuple(make_records())).to_pandas()
+
+
+def test_records_of_before_a_metric_was_added_are_reported_without_it(tmp_path: Path) -> None:
+    older, newer = make_record("nearest", 0.8), make_record("ours", 0.9)
+    older = older.model_copy(update={"scores": {"ssim": older.scores["ssim"]}})
+    results = store(tmp_path, older, newer)
+    rows = {row["method"]: row for row in csv_tables(boards([older, newer]))["scores"]}
+    title = metric_title("psnr")
+    assert title in rows["ours"] and title not in {name for name, value in rows["nearest"].items() if value == value}
+    write_report(read_results(results), tmp_path / "report.md")
+    write_page(results, tmp_path / "page.html")

@@ -100,7 +100,7 @@ def columns(comparison: Comparison, names: Sequence[str]) -> list[_Column]:
     def of_metric(name: str) -> _Column:
         hint = f"median, mean over splits and seeds: {METRICS[name].description}"
         form = {"ssim_wrapped": ".4f", "beam_loss": ".3f"}.get(name, ".2f")
-        value = average(lambda record: record.scores[name].median)
+        value = average(lambda record: record.scores[name].median if name in record.scores else nan)
         return _Column(metric_title(name), hint, value, form, is_largest_first=METRICS[name].higher_is_better)
 
     def of_cost(name: str) -> _Column:

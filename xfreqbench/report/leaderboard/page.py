@@ -203,7 +203,7 @@ def _board_content(compared: Sequence[Comparison]) -> dict[str, Any]:
             }
             for comparison in compared
         ],
-        "metrics": {name: metric_title(name) for name in METRICS},
+        "metrics": {name: metric_title(name) for name in METRICS if all(name in each.scores for each in board.records)},
     }
 
 
@@ -226,7 +226,11 @@ def _curves(records: Sequence[RunRecord]) -> dict[str, Any]:
     """Distributions of scores, the median SSIM at each carrier in GHz, mean over seeds, and the learning curve."""
     medians = [record.scores["ssim"].median_by_carrier_hz for record in records]
     return {
-        "cdf": {name: list(map(_rounded, pooled_quantiles(records, name))) for name in records[0].scores},
+        "cdf": {
+            name: list(map(_rounded, pooled_quantiles(records, name)))
+            for name in records[0].scores
+            if all(name in each.scores for each in records)
+        },
         "carriers": [
             [float(carrier) / 1e9, _rounded(float(np.mean([by_hz.get(carrier, nan) for by_hz in medians])))]
             for carrier in sorted(medians[0], key=float)
