@@ -282,8 +282,8 @@ def report(
     html: Annotated[
         Path | None,
         Parameter(
-            help="Write one web page with charts and maps too, a single file, and beside it its tables as CSV and, "
-            "where pyarrow is installed, as Parquet."
+            help="Write one web page with charts and maps too, a single file, and beside it its tables as CSV and "
+            "as Parquet."
         ),
     ] = None,
     details: Annotated[

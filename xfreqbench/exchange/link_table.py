@@ -11,7 +11,7 @@ import numpy as np
 from xfreqbench.data.dataset import PasDataset, links, open_dataset, stored_paths
 from xfreqbench.data.power import power_db, received_power_dbm
 from xfreqbench.data.statistics import of_paths
-from xfreqbench.errors import DataError, XFreqBenchError
+from xfreqbench.errors import DataError
 from xfreqbench.system.files import atomic_path, require_own, storage_errors, write_columns
 from xfreqbench.types import NDArray, ProgressCallback, ignore_progress
 
@@ -34,11 +34,9 @@ def export_link_table(
 
     Columns are those of `link_columns`, of one link after the other; what is not known is empty. `progress` is told how
     many links are done and how many there are. Raises `OutputExistsError` where something lies at `output`,
-    `DataError` for a data set of maps alone, `XFreqBenchError` where pyarrow is not installed, and `StorageError`.
+    `DataError` for a data set of maps alone, and `StorageError`.
     """
     require_own(output, lambda _: "is not written over.")
-    if output.suffix == ".parquet":
-        pyarrow_here()
     dataset = open_dataset(path)
     num_links, parts = prod(map(len, filter(None, dataset.file_header.link_names))), []
     for done, link in enumerate(links(dataset), start=1):
@@ -100,14 +98,7 @@ def _cells(values: NDArray[Any]) -> list[Any]:
 
 
 def _write_parquet(path: Path, columns: dict[str, NDArray[Any]]) -> None:
-    arrow = pyarrow_here()
-    arrow.parquet.write_table(arrow.table({name: arrow.array(each) for name, each in columns.items()}), path)
+    import pyarrow
+    import pyarrow.parquet
 
-
-def pyarrow_here() -> Any:
-    """The library pyarrow, which writes Parquet; raises `XFreqBenchError` where it is not installed."""
-    try:
-        import pyarrow.parquet
-    except ImportError as error:
-        raise XFreqBenchError('Parquet needs pyarrow. Run: pip install "xfreqbench[parquet]"') from error
-    return pyarrow
+    pyarrow.parquet.write_table(pyarrow.table(columns), path)

@@ -15,7 +15,6 @@ import numpy as np
 from xfreqbench.data.collection import PARTS, Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import XFreqBenchError
-from xfreqbench.exchange.link_table import pyarrow_here
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.types import IntArray, NDArray, ProgressCallback, ignore_progress
@@ -60,10 +59,7 @@ def export_shards(
     `XFreqBenchError` where pyarrow, which writes Parquet, is not installed, `DataError` and `StorageError`.
     """
     require_empty(folder)
-    write = _write_tar
-    if to == "datasets":
-        pyarrow_here()
-        write = _write_parquet
+    write = _write_parquet if to == "datasets" else _write_tar
     splits = _splits(path)
     total, done = sum(map(_num_maps, splits.values())), 0
     with atomic_folder(folder) as temporary, storage_errors(folder):
@@ -134,11 +130,14 @@ def _write_tar(path: Path, columns: Columns, first: int) -> None:
 
 def _write_parquet(path: Path, columns: Columns, first: int) -> None:
     """A row a sample; a map is a list of fixed length, row by row."""
-    arrow, arrays = pyarrow_here(), {}
+    import pyarrow
+    import pyarrow.parquet
+
+    arrays = {}
     for name, values in columns.items():
-        flat = arrow.array(np.ascontiguousarray(values).ravel())
-        arrays[name] = flat if values.ndim == 1 else arrow.FixedSizeListArray.from_arrays(flat, values[0].size)
-    arrow.parquet.write_table(arrow.table(arrays), path.with_suffix(".parquet"), row_group_size=100)
+        flat = pyarrow.array(np.ascontiguousarray(values).ravel())
+        arrays[name] = flat if values.ndim == 1 else pyarrow.FixedSizeListArray.from_arrays(flat, values[0].size)
+    pyarrow.parquet.write_table(pyarrow.table(arrays), path.with_suffix(".parquet"), row_group_size=100)
 
 
 def _array(receiver: ReceiverArray) -> str:

@@ -55,7 +55,7 @@ class Budget:
         return lambda: time.perf_counter() >= end_s
 
 
-LANES = {  # budgets with names: a benchmark ranks fits of one of them
+BUDGETS = {  # budgets with names: a benchmark ranks fits of one of them
     "quick": Budget(max_maps=64_000),
     "minutes": Budget(max_seconds=300.0),
     "converged": Budget(max_maps=200_000),  # the paper's number of iterations, of one map each
@@ -65,18 +65,18 @@ LANES = {  # budgets with names: a benchmark ranks fits of one of them
 def parse_budget(text: str | None) -> Budget:
     """The budget that a text such as `300s`, `5m`, `2h`, `2000steps` or `64000maps` stands for; unlimited for None.
 
-    It may be the name of one of the `LANES`. Raises `MethodError` for any other text.
+    It may be the name of one of the `BUDGETS`. Raises `MethodError` for any other text.
     """
     if text is None:
         return Budget()
-    if text.strip() in LANES:
-        return LANES[text.strip()]
+    if text.strip() in BUDGETS:
+        return BUDGETS[text.strip()]
     matched = re.fullmatch(r"(\d{1,15})\s*(steps|maps)|(\d{1,15}(?:\.\d{1,15})?)\s*([smh])", text.strip())
     number, unit = (group for group in matched.groups() if group) if matched else ("0", "")
     if float(number) == 0:
         raise MethodError(
-            f"A budget is written as in 300s, 5m, 2h, 2000steps or 64000maps, or is one of {', '.join(LANES)}, but "
-            f"{text!r} was given.{did_you_mean(text, LANES)}"
+            f"A budget is written as in 300s, 5m, 2h, 2000steps or 64000maps, or is one of {', '.join(BUDGETS)}, but "
+            f"{text!r} was given.{did_you_mean(text, BUDGETS)}"
         )
     if unit in ("steps", "maps"):
         return Budget(**{f"max_{unit}": int(number)})

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from tests.support.stored_records import SPLITS, external, make_record
-from xfreqbench.methods.contract import LANES, Budget
+from xfreqbench.methods.contract import BUDGETS, Budget
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles, short_commit, short_name
 from xfreqbench.runs.records import Job, RunRecord
@@ -144,7 +144,7 @@ def test_a_board_has_one_budget_and_trivial_predictors_stand_on_every_one() -> N
         return make_record(name, ssim, SPLITS[0], job=Job("data.h5", name, "lofo", SPLITS[0], budget=budget))
 
     trivial = [make_record(name, 0.8, SPLITS[0]) for name in NEEDED_TRIVIAL]
-    quick, minutes, own = LANES["quick"], LANES["minutes"], Budget(max_steps=9)
+    quick, minutes, own = BUDGETS["quick"], BUDGETS["minutes"], Budget(max_steps=9)
     records = [
         *trivial,
         *(fitted("ours", budget, 0.9) for budget in (quick, minutes, own, Budget())),

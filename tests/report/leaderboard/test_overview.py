@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.leaderboard_records import make_bench, make_followed, make_records, of_three_seeds, rows_of, with_job
 from tests.support.stored_records import make_record, store
-from xfreqbench.methods.contract import LANES
+from xfreqbench.methods.contract import BUDGETS
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.page import write_page
 from xfreqbench.report.leaderboard.report import report_text, write_report
@@ -83,7 +83,7 @@ def test_a_method_that_gains_little_by_more_maps_is_called_flat(tmp_path: Path) 
         ("hasty", "quick"): 0.90, ("hasty", "minutes"): 0.90,
     }  # fmt: skip
     for (method, lane), value in ssim.items():
-        store(tmp_path, with_job(make_record(method, value), budget=LANES[lane]))
+        store(tmp_path, with_job(make_record(method, value), budget=BUDGETS[lane]))
     write_report(tmp_path, tmp_path / "B.md", tmp_path / "all")
     text = (tmp_path / "B.md").read_text("utf-8")
     gains = {method: rows_of(text, method)[-1]["quick → converged"] for method, _ in ssim}
@@ -97,7 +97,7 @@ def test_the_stability_suite_is_summed_up_by_area(written: tuple[Path, ...]) -> 
 def test_findings_name_the_best_method_and_what_the_papers_idea_adds(tmp_path: Path) -> None:
     def stored(method: str, shift: float, *overrides: str) -> list[RunRecord]:
         return [
-            with_job(record, overrides=overrides, budget=LANES["quick"])
+            with_job(record, overrides=overrides, budget=BUDGETS["quick"])
             for record in of_three_seeds(method, shift, len(method))
         ]
 

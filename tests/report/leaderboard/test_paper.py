@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.leaderboard_records import make_records, of_three_seeds, rows_of, with_job
 from tests.support.stored_records import SPLITS, external, make_record, store
-from xfreqbench.methods.contract import LANES
+from xfreqbench.methods.contract import BUDGETS
 from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles
 from xfreqbench.report.leaderboard.captions import sources_of
 from xfreqbench.report.leaderboard.paper import paper_page
@@ -37,7 +37,7 @@ def claims(*records: RunRecord) -> str:
 def fitted(method: str, shift: float, **changes: object) -> list[RunRecord]:
     """Three seeds in the lane quick, better than others by `shift`."""
     return [
-        with_job(record, budget=LANES["quick"]).model_copy(update=changes)
+        with_job(record, budget=BUDGETS["quick"]).model_copy(update=changes)
         for record in of_three_seeds(method, shift, len(method))
     ]
 
@@ -61,7 +61,7 @@ def test_a_claim_of_one_seed_has_no_verdict_and_without_measurements_there_is_no
 
 def test_the_method_as_the_paper_has_it_is_judged_beside_the_aided_one() -> None:
     found = {method: fitted(method, shift, config=TOLD) for method, shift in (("xfreq-gs-paper", 0.05), ("gsrf", 0.0))}
-    slow = [with_job(record, budget=LANES["converged"]) for records in found.values() for record in records]
+    slow = [with_job(record, budget=BUDGETS["converged"]) for records in found.values() for record in records]
     row = rows_of(claims(*slow, *fitted("xfreq-gs", 0.0)), CLAIM)[0]
     assert row[AS_IT_IS].endswith("holds") and row[CONVERGED] == "–"
 

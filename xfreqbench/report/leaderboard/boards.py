@@ -19,7 +19,7 @@ from xfreqbench.data.recipe import recipe_name
 from xfreqbench.data.splits import VALIDATIONS, protocols
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import quantiles, skill
-from xfreqbench.methods.contract import LANES, Budget
+from xfreqbench.methods.contract import BUDGETS, Budget
 from xfreqbench.methods.trivial import EVERY_TRIVIAL, NEEDED_TRIVIAL
 from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord
 from xfreqbench.types import FloatArray
@@ -149,7 +149,7 @@ class Board:
     @property
     def lane_title(self) -> str:
         """The budget of its fits, with its name if it has one: `quick (≤ 64,000 maps)`."""
-        named = (f"{name} ({self.lane})" for name, budget in LANES.items() if budget_text(budget) == self.lane)
+        named = (f"{name} ({self.lane})" for name, budget in BUDGETS.items() if budget_text(budget) == self.lane)
         return next(named, self.lane)
 
     @cached_property

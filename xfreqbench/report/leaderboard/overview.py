@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import product
 from math import isnan, nan
 
-from xfreqbench.methods.contract import LANES
+from xfreqbench.methods.contract import BUDGETS
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, paragraph, prose, table, with_interval
 from xfreqbench.report.leaderboard.boards import Board, BoardRow, budget_text, short_name
 from xfreqbench.report.leaderboard.captions import facts, leak_statement, legend
@@ -227,7 +227,7 @@ def _budget_table(lanes: Sequence[Board]) -> list[str]:
         for label in sorted({label for label, _ in rows})
     ]
     caption = f"Average median SSIM on {', '.join(map(short_name, splits))} by budget"
-    few_maps, many_maps = (budget_text(LANES[name]) for name in ("quick", "converged"))
+    few_maps, many_maps = (budget_text(BUDGETS[name]) for name in ("quick", "converged"))
     if {few_maps, many_maps} <= {lane.lane for lane in lanes}:
         flat = 0.002  # of SSIM
         header.append("quick → converged")

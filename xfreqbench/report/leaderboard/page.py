@@ -24,7 +24,7 @@ from xfreqbench.report.leaderboard.maps import gallery
 from xfreqbench.report.leaderboard.overview import main_scene
 from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
-from xfreqbench.report.leaderboard.tables import require_own_table, table_files, write_tables
+from xfreqbench.report.leaderboard.tables import require_own_table, write_tables
 from xfreqbench.runs.records import RunRecord
 from xfreqbench.system.files import require_own, require_space, write_text
 
@@ -97,7 +97,7 @@ def require_page(found: RankedResults, output_html: Path) -> None:
     require_space(output_html, 1)
     mark = f"<title>{_TITLE}</title>".encode()
     require_own(output_html, lambda file: None if mark in file.read_bytes() else "is no page of results")
-    for path in table_files(output_html.with_suffix(".csv")):
+    for path in map(output_html.with_suffix, (".csv", ".parquet")):
         require_own_table(path)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from xfreqbench.errors import DataError
-from xfreqbench.methods.contract import LANES
+from xfreqbench.methods.contract import BUDGETS
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, prose, table, with_interval
 from xfreqbench.report.leaderboard.boards import Board, BoardRow, budget_text, pooled_quantiles, short_name
 from xfreqbench.report.leaderboard.captions import published
@@ -147,7 +147,7 @@ def _claims_table(ranked: Sequence[Board]) -> str:
     }
     rows = []
     for claim in published()["claim"]:
-        cells = [_claim_cell(claim, ranked, budget_text(LANES[lane]), method) for lane, method in columns.values()]
+        cells = [_claim_cell(claim, ranked, budget_text(BUDGETS[lane]), method) for lane, method in columns.values()]
         is_doubted = any(words in cell for cell in cells for words in ("open", "does not hold"))
         rows.append([f"{claim['claim']} ({claim['theirs']})", *cells, claim.get("why", "") if is_doubted else ""])
     if all(cell == ABSENT for row in rows for cell in row[1:-1]):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from itertools import combinations
 from math import isnan
 from pathlib import Path
@@ -172,29 +171,23 @@ def require_own_table(path: Path) -> None:
     require_own(path, fault_of)
 
 
-def table_files(output_csv: Path) -> list[Path]:
-    """The files that `write_tables` writes: a CSV file and, where pyarrow is installed, a Parquet file beside it."""
-    return [output_csv, *([output_csv.with_suffix(".parquet")] if find_spec("pyarrow") else [])]
-
-
 def write_tables(comparisons: Iterable[Comparison], output_csv: Path) -> None:
-    """Write the table of `to_pandas` into `table_files`, splits joined by blanks.
+    """Write the table of `to_pandas` as CSV and, beside it, as Parquet, splits joined by blanks.
 
     Raises `OutputExistsError` where one is another file, and `StorageError`.
     """
-    files = table_files(output_csv)
-    for path in files:
+    import pyarrow
+    import pyarrow.parquet
+
+    output = output_csv.with_suffix(".parquet")
+    for path in (output_csv, output):
         require_own_table(path)
     rows = _rows(comparisons)
     names = write_csv(rows, output_csv)
-    for output in files[1:]:
-        import pyarrow
-        import pyarrow.parquet
-
-        whole = [dict.fromkeys(names) | row | {"splits": " ".join(row["splits"])} for row in rows]
-        content = pyarrow.Table.from_pylist(whole).replace_schema_metadata({_PARQUET_MARK: "1"})
-        with atomic_path(output) as temporary, storage_errors(output):
-            pyarrow.parquet.write_table(content, temporary)
+    whole = [dict.fromkeys(names) | row | {"splits": " ".join(row["splits"])} for row in rows]
+    content = pyarrow.Table.from_pylist(whole).replace_schema_metadata({_PARQUET_MARK: "1"})
+    with atomic_path(output) as temporary, storage_errors(output):
+        pyarrow.parquet.write_table(content, temporary)
 
 
 def _rows(comparisons: Iterable[Comparison]) -> list[dict[str, Any]]:
