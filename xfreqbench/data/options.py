@@ -9,7 +9,17 @@ import inspect
 from collections.abc import Callable, Collection
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import wraps
-from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, Protocol, TypeVar, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    ParamSpec,
+    Protocol,
+    TypeVar,
+    get_type_hints,
+    runtime_checkable,
+)
 
 from typing_extensions import Doc
 
@@ -115,6 +125,7 @@ class GenerateOptions:
         return replace(asked, **{name: limit for name, limit in limits.items() if limit is not None})
 
 
+@runtime_checkable
 class TakesOptions(Protocol[Taken, Made]):
     """A function of what is traced, of an output, and of options by their names."""
 
