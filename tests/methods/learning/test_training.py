@@ -21,8 +21,7 @@ from xfreqbench.baselines.wrf_gs_plus import WRFGSPlus
 from xfreqbench.baselines.xfreq_gs import XFreqGS
 from xfreqbench.baselines.xfreq_gs_paper import XFreqGSPaper
 
-from tests.support.descent import curve, maps
-from tests.support.stub_methods import lofo_job, run_job
+from tests.support.stub_methods import curve, lofo_job, maps, run_job
 from tests.support.synthetic import write_dataset
 from tests.support.training import DIVIDING, TINY, predicted, reloaded, tiny, trained
 from xfreqbench.data.dataset import PasDataset
