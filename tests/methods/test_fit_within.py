@@ -122,7 +122,7 @@ def test_the_cleanup_of_a_method_is_charged(dataset: PasDataset, clock: Clock) -
 
 
 @pytest.mark.parametrize(("loaded", "first", "seconds"), [(5, 6, 105), (0, 1, 10)], ids=["goes on", "starts anew"])
-def test_a_fit_that_goes_on_spends_the_rest_and_one_that_starts_anew_is_not_charged_for_what_was_lost(
+def test_a_fit_that_goes_on_spends_the_rest_and_one_that_starts_anew_all_of_its_budget(
     dataset: PasDataset, clock: Clock, loaded: int, first: int, seconds: float
 ) -> None:
     method, seen, spent = Resumed(), [], Fit(step=5, loss=1.0, seconds=100.0, share=0.5)

@@ -104,7 +104,7 @@ def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
     assert (numbers[0] < numbers[1] < numbers[2]) == (method in DIVIDED)
 
 
-def test_a_step_of_the_weights_is_forgotten_at_the_rate_that_is_asked_for_and_all_where_sizes_change() -> None:
+def test_a_step_of_the_weights_is_forgotten_at_its_rate_and_all_where_sizes_change() -> None:
     kept, layer, mean = 0.5, torch.nn.Linear(2, 1, bias=False), None
     for step in range(-20, 4):  # past the start, when the mean keeps less
         torch.nn.init.constant_(layer.weight, float(step <= 0))

@@ -136,7 +136,7 @@ def test_gaussians_added_by_a_division_are_trained() -> None:
         ({"growth": 1, "densify_until": 0.5}, ones_but(7, 0.0), ones(), 0.5),
     ],
 )
-def test_the_number_of_gaussians_stays_where_none_is_to_go_or_to_come_and_where_control_is_off_or_over(
+def test_the_number_of_gaussians_stays_where_none_is_to_go_or_come_or_control_is_over(
     options: dict[str, float], magnitude: Tensor, pull: Tensor, share: float
 ) -> None:
     training = Training(**options)
