@@ -9,17 +9,11 @@ import pytest
 
 from tests.support.clock import Clock, set_clock
 from tests.support.stub_methods import Endless, Short
-from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DivergenceError, MethodError
 from xfreqbench.methods import fitting
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.fitting import Fit, checked_num_parameters, fit_within, predict_checked
-
-
-@pytest.fixture(scope="module")
-def train(tmp_path_factory: pytest.TempPathFactory) -> PasDataset:
-    return write_dataset(tmp_path_factory.mktemp("data") / "data.h5", num_tx=1, maps=False)
 
 
 @pytest.fixture
@@ -47,13 +41,13 @@ class Resumed(Endless):
     [(Budget(max_steps=5), 5, 1), (Budget(max_seconds=4.5), 5, 5 / 4.5), (Budget(max_maps=40), 3, 48 / 40)],
 )
 def test_a_budget_ends_training_with_the_step_that_reaches_it(
-    train: PasDataset, clock: Clock, budget: Budget, step: int, share: float
+    dataset: PasDataset, clock: Clock, budget: Budget, step: int, share: float
 ) -> None:
     method = Resumed()
-    fit = fit_within(method, train, budget, seed=0)
+    fit = fit_within(method, dataset, budget, seed=0)
     assert fit == Fit(step, 1 / step, float(step), share, {"maps": 16 * step})
     assert (fit.maps, method.closed) == (16 * step, True)
-    assert fit_within(method, train, budget, seed=0, spent=fit) is fit
+    assert fit_within(method, dataset, budget, seed=0, spent=fit) is fit
 
 
 class Told(Endless):
@@ -75,10 +69,10 @@ class Told(Endless):
     ],
 )
 def test_a_method_is_told_the_spent_share_of_its_budget(
-    train: PasDataset, clock: Clock, budget: Budget, shares: list[float]
+    dataset: PasDataset, clock: Clock, budget: Budget, shares: list[float]
 ) -> None:
     method = Told()
-    assert fit_within(method, train, budget, seed=0).share == (1 if budget.max_steps else shares[-1])
+    assert fit_within(method, dataset, budget, seed=0).share == (1 if budget.max_steps else shares[-1])
     assert method.shares == shares
 
 
@@ -97,18 +91,18 @@ class Delegating(Endless):
 
 
 @pytest.mark.parametrize(("method", "step"), [(Plain(), 2), (Delegating(), 3)])
-def test_an_iterator_that_takes_no_share_is_a_fit_too(train: PasDataset, method: Endless, step: int) -> None:
-    assert fit_within(method, train, Budget(max_steps=100), seed=0).step == step
+def test_an_iterator_that_takes_no_share_is_a_fit_too(dataset: PasDataset, method: Endless, step: int) -> None:
+    assert fit_within(method, dataset, Budget(max_steps=100), seed=0).step == step
 
 
-def test_an_observer_sees_every_step_and_its_time_is_not_charged(train: PasDataset, clock: Clock) -> None:
+def test_an_observer_sees_every_step_and_its_time_is_not_charged(dataset: PasDataset, clock: Clock) -> None:
     seen = []
 
     def observe(before, now):
         clock.sleep(1)
         seen.append((before and before.step, now.step))
 
-    fit = fit_within(Short(), train, Budget(), seed=0, observe=observe)
+    fit = fit_within(Short(), dataset, Budget(), seed=0, observe=observe)
     assert seen == [(None, 1), (1, 2), (2, 3)]
     assert fit.seconds == 0
 
@@ -123,17 +117,17 @@ class Untidy(Short):
             time.sleep(1)
 
 
-def test_the_cleanup_of_a_method_is_charged(train: PasDataset, clock: Clock) -> None:
-    assert fit_within(Untidy(), train, Budget(max_steps=1), seed=0).seconds == 1
+def test_the_cleanup_of_a_method_is_charged(dataset: PasDataset, clock: Clock) -> None:
+    assert fit_within(Untidy(), dataset, Budget(max_steps=1), seed=0).seconds == 1
 
 
 @pytest.mark.parametrize(("loaded", "first", "seconds"), [(5, 6, 105), (0, 1, 10)], ids=["goes on", "starts anew"])
-def test_a_fit_that_goes_on_spends_the_rest_and_one_that_starts_anew_is_not_charged_for_what_was_lost(
-    train: PasDataset, clock: Clock, loaded: int, first: int, seconds: float
+def test_a_fit_that_goes_on_spends_the_rest_and_one_that_starts_anew_all_of_its_budget(
+    dataset: PasDataset, clock: Clock, loaded: int, first: int, seconds: float
 ) -> None:
     method, seen, spent = Resumed(), [], Fit(step=5, loss=1.0, seconds=100.0, share=0.5)
     method.step = loaded
-    fit = fit_within(method, train, Budget(max_steps=10), 0, spent=spent, observe=lambda *change: seen.append(change))
+    fit = fit_within(method, dataset, Budget(max_steps=10), 0, spent=spent, observe=lambda *change: seen.append(change))
     assert seen[0][0] == (spent if loaded else None)
     assert [now.step for _, now in seen] == [*range(first, 11)]
     assert fit.seconds == seconds
@@ -153,15 +147,15 @@ class Losing(Endless):
     [((1.0, math.inf), 2), ((-math.inf,), 1), ((math.nan, 1.0, math.nan), 3), ((1.0, math.nan, 1.0), 2)],
 )
 def test_a_loss_that_is_no_longer_finite_is_a_divergence(
-    train: PasDataset, losses: tuple[float, ...], step: int
+    dataset: PasDataset, losses: tuple[float, ...], step: int
 ) -> None:
     method = Losing()
     method.losses = losses
     with pytest.raises(DivergenceError, match=f"loss is not finite at step {step}") as raised:
-        fit_within(method, train, Budget(), seed=0)
+        fit_within(method, dataset, Budget(), seed=0)
     assert (raised.value.step, raised.value.tensor) == (step, "loss")
     method.losses = (math.nan, math.nan, 0.5)  # it has none at first
-    assert fit_within(method, train, Budget(), seed=0).step == 3
+    assert fit_within(method, dataset, Budget(), seed=0).step == 3
 
 
 class Yielding(Endless):
@@ -184,9 +178,9 @@ class Yielding(Endless):
         (Endless(), r"64000 maps, but Endless\.fit does not tell"),
     ],
 )
-def test_a_fit_that_breaks_the_contract_is_told_how(train: PasDataset, method: Endless, words: str) -> None:
+def test_a_fit_that_breaks_the_contract_is_told_how(dataset: PasDataset, method: Endless, words: str) -> None:
     with pytest.raises(MethodError, match=words):
-        fit_within(method, train, Budget(max_maps=64_000), seed=0)
+        fit_within(method, dataset, Budget(max_maps=64_000), seed=0)
 
 
 @pytest.mark.parametrize(

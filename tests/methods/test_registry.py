@@ -10,14 +10,7 @@ import pytest
 
 from tests.support.packages import install
 from xfreqbench.errors import MethodError, OutOfMemoryError
-from xfreqbench.methods.registry import (
-    build_method,
-    device_option,
-    method_description,
-    method_names,
-    method_summaries,
-    resolve_method,
-)
+from xfreqbench.methods.registry import build_method, method_description, method_names, method_summaries, resolve_method
 
 
 def test_a_method_is_found_as_module_and_class() -> None:
@@ -153,9 +146,3 @@ def test_every_option_of_a_built_in_method_has_a_meaning(name: str) -> None:
     named = [option.name for option in options if option.name != "aided"]
     assert named == [option.name for option in fields(build_method(name).config)]
     assert not [option.name for option in options if not option.meaning]
-
-
-def test_a_device_is_given_to_methods_that_have_the_choice() -> None:
-    assert device_option("xfreq-gs", "cuda") == ("device=cuda",)
-    assert device_option("virtual-source", "cuda") == device_option("nearest", "cuda") == ()
-    assert device_option("xfreq-gs", "cpu") == ()

@@ -4,28 +4,142 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
-from collections.abc import Callable
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 from pydantic_core import from_json
 
-from tests.support import descent
 from tests.support.clock import set_clock
 from tests.support.damage import flip
-from tests.support.descent import NUM_STEPS, Descent, DescentConfig, Forgetful, curve, make_job, maps
-from tests.support.stub_methods import run_job, run_jobs
-from xfreqbench.data.dataset import PasDataset
+from tests.support.places import ROOT
+from tests.support.stub_methods import curve, lofo_job, maps, run_job, run_jobs
+from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import DataError, DivergenceError, MethodError, StorageError
 from xfreqbench.methods import fitting
+from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import checkpoints
-from xfreqbench.runs.checkpoints import CheckpointFolder
+from xfreqbench.runs.checkpoints import Checkpoint, CheckpointFolder
+from xfreqbench.runs.records import Job
 from xfreqbench.runs.sealed import SEAL, content_sha256
 
+NUM_STEPS = 200
 WARM_UP_STEPS = 1  # of another method of the kind, before the clock of a fit starts
+
+
+@dataclass(frozen=True)
+class DescentConfig:
+    learning_rate: float = 0.5
+
+
+class Descent:
+    """One map for every query, by stochastic gradient descent with momentum and a falling step length."""
+
+    num_parameters = 90 * 360
+    num_steps_done: ClassVar[int] = 0
+    pause_s: ClassVar[float] = 0.0
+    interrupt_at: ClassVar[int | None] = None
+    waits_at: ClassVar[int | None] = None
+
+    def __init__(self, config=DescentConfig()):
+        self.config = config
+        self.step, self.share = 0, 0.0
+        self.map, self.velocity = np.zeros((2, 90, 360))
+        self.random_state = None
+
+    def fit(self, train: PasDataset, budget: Budget, seed: int) -> Generator[Progress, float, None]:
+        generator = np.random.default_rng(seed)
+        if self.random_state:
+            generator.bit_generator.state = self.random_state
+        truth = train.pas(np.arange(len(train)))
+        self.share = max(self.share, budget.share(self.step, 0.0))
+        while True:
+            self._interrupt()
+            gradient = self.map - truth[generator.integers(len(train))]
+            self.velocity = 0.5 * self.velocity - self.config.learning_rate * (1 - self.share) * gradient
+            self.map = self.map + self.velocity
+            self.step += 1
+            self.random_state = generator.bit_generator.state
+            type(self).num_steps_done += 1
+            self.share = yield Progress(self.step, self._loss(gradient), {"maps": self.step})
+
+    def _loss(self, gradient):
+        return float((gradient**2).mean())
+
+    def _interrupt(self):
+        time.sleep(3600 if self.step == self.waits_at else self.pause_s)
+        if self.step == self.interrupt_at:
+            raise KeyboardInterrupt
+
+    def predict(self, tx_position_m, carrier_hz):
+        peak = np.clip(self.map / self.map.max(), 0, 1).astype(np.float32)
+        return np.repeat(peak[None], len(carrier_hz), axis=0)
+
+    def save(self, directory):
+        np.savez(directory / "maps.npz", map=self.map, velocity=self.velocity)
+        state = [self.config.learning_rate, self.step, self.share, self.random_state]
+        (directory / "state.json").write_text(json.dumps(state))
+
+    @classmethod
+    def load(cls, directory):
+        learning_rate, *state = json.loads((directory / "state.json").read_text())
+        method = cls(DescentConfig(learning_rate))
+        method.step, method.share, method.random_state = state
+        stored = np.load(directory / "maps.npz")
+        method.map, method.velocity = stored["map"], stored["velocity"]
+        return method
+
+
+class Forgetful(Descent):
+    """Loads what `predict` needs, and fits anew."""
+
+    def fit(self, train, budget, seed):
+        self.__init__(self.config)
+        yield from super().fit(train, budget, seed)
+
+
+class Exploding(Descent):
+    """Loses its finite loss at the third step."""
+
+    def _loss(self, gradient):
+        return math.inf if self.step == 3 else super()._loss(gradient)
+
+
+def make_job(dataset: PasDataset, name: str = "Descent", max_steps: int = NUM_STEPS, **options) -> Job:
+    return lofo_job(dataset, f"{__name__}:{name}", budget=Budget(max_steps), **options)
+
+
+def fit_half(path: str, results: str) -> None:
+    """What the process that is killed runs: half of the steps, saved every 0.05 s, and then it waits for its end."""
+    checkpoints.CHECKPOINT_SECONDS = 0.05
+    Descent.pause_s = 0.01
+    Descent.waits_at = NUM_STEPS // 2
+    run_job(make_job(open_dataset(Path(path))), Path(results))
+
+
+def killed_after_three_checkpoints(code: str, folder: CheckpointFolder) -> Checkpoint:
+    """What the newest checkpoint of a fit holds that is made by some code in a process of its own, and killed."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen([sys.executable, "-c", code], env=environment)
+    while (newest := folder.newest()) is None or int(newest.name) < 3:
+        assert process.poll() is None, "the fit ended before it could be killed"
+        time.sleep(0.002)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    saved = folder.read()
+    assert saved is not None
+    return saved
 
 
 @pytest.fixture(autouse=True)
@@ -50,9 +164,9 @@ def interrupted(dataset: PasDataset, results: Path, method: type[Descent], step:
 def test_a_fit_killed_in_the_middle_ends_in_the_bytes_of_an_unbroken_one(dataset: PasDataset, tmp_path: Path) -> None:
     unbroken = run_job(make_job(dataset), tmp_path / "unbroken")
     results = tmp_path / "killed"
-    code = f"from tests.support import descent; descent.fit_half({str(dataset.path)!r}, {str(results)!r})"
+    code = f"from {__name__} import fit_half; fit_half({str(dataset.path)!r}, {str(results)!r})"
     folder = CheckpointFolder(results / "checkpoints" / unbroken.id, unbroken.id)
-    saved = descent.killed_after_three_checkpoints(code, folder)
+    saved = killed_after_three_checkpoints(code, folder)
     assert not (results / "records.jsonl").exists()
 
     Descent.num_steps_done = 0
@@ -69,7 +183,7 @@ def test_a_fit_killed_in_the_middle_ends_in_the_bytes_of_an_unbroken_one(dataset
 def test_a_method_that_starts_anew_is_not_charged_twice(
     dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    set_clock(monkeypatch, fitting, descent)
+    set_clock(monkeypatch, fitting, sys.modules[__name__])
     monkeypatch.setattr(Forgetful, "pause_s", 1)
     unbroken = run_job(make_job(dataset, "Forgetful", 20), tmp_path / "unbroken")
     interrupted(dataset, tmp_path, Forgetful, 10, max_steps=20)
@@ -83,7 +197,7 @@ def test_a_method_that_starts_anew_is_not_charged_twice(
 def test_a_resumed_fit_is_warmed_up_before_its_clock_starts(
     dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    set_clock(monkeypatch, fitting, descent)
+    set_clock(monkeypatch, fitting, sys.modules[__name__])
     monkeypatch.setattr(Descent, "pause_s", 1)
     interrupted(dataset, tmp_path, Descent, 5, max_steps=10)
     resumed = run_job(make_job(dataset, max_steps=10), tmp_path)
@@ -136,7 +250,9 @@ def test_a_fit_that_diverges_names_its_job_and_its_last_good_checkpoint(
     dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, left: str
 ) -> None:
     monkeypatch.setattr(checkpoints, "CHECKPOINT_SECONDS", seconds)
-    words = rf"loss is not finite at step 3\. Method 'tests\.support\.descent:Exploding' diverged on split .*{left}"
+    words = (
+        rf"loss is not finite at step 3\. Method 'tests\.runs\.test_checkpoints:Exploding' diverged on split .*{left}"
+    )
     with pytest.raises(DivergenceError, match=words) as raised:
         run_job(make_job(dataset, "Exploding"), tmp_path)
     assert (raised.value.step, raised.value.tensor) == (3, "loss")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import xfreqbench as xb
+from tests.support.damage import flip
 from tests.support.stub_methods import lofo_job, run_job, task_of
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError
@@ -52,9 +53,7 @@ def test_a_loaded_method_goes_on_with_its_fit(dataset: PasDataset, kept: tuple[P
 def test_a_method_of_a_damaged_file_is_refused_in_a_line(copied: tuple[Path, RunRecord]) -> None:
     results, record = copied
     (path,) = results.glob(f"methods/{record.id}/*/method/state.safetensors")
-    content = bytearray(path.read_bytes())
-    content[-1] ^= 1
-    path.write_bytes(content)
+    flip(path, path.stat().st_size - 1)
     words = r"The method in .* is damaged: state\.safetensors changed .* Delete .*\.h5 and .*, and run the same again"
     with pytest.raises(DataError, match=words) as raised:
         xb.load_method(results, record)

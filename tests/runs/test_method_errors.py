@@ -32,6 +32,8 @@ class Leaving(Nearest):
 
     def fit(self, train, budget, seed):
         self._reach("fit")
+        if self.part == "count":
+            self.num_parameters = float("nan")
         yield from super().fit(train, budget, seed)
         yield Progress(2, 0.0)
 
@@ -45,12 +47,6 @@ class Leaving(Nearest):
     def findings(self):
         self._reach("findings")
         return {"text": "\udcff"} if self.part == "text" else {}
-
-
-class Uncounted(Nearest):
-    def fit(self, train, budget, seed):
-        self.num_parameters = float("nan")
-        yield from super().fit(train, budget, seed)
 
 
 class UnheardError(Exception):
@@ -104,18 +100,20 @@ def test_an_interrupted_method_is_no_broken_one(
             run_job(lofo_job(dataset, f"{__name__}:Leaving", budget=Budget(max_steps=9), seed=seed), tmp_path)
 
 
-def test_a_number_of_parameters_that_is_no_count_is_told(dataset: PasDataset, tmp_path: Path) -> None:
-    with pytest.raises(MethodError, match=r"Uncounted\.num_parameters is nan, a float"):
-        run_job(lofo_job(dataset, f"{__name__}:Uncounted"), tmp_path)
-    assert not (tmp_path / "records.jsonl").exists()
-
-
-def test_findings_that_no_file_can_hold_are_told(
-    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        ("count", r"Leaving\.num_parameters is nan, a float"),
+        ("text", r"Leaving' failed in findings on split .*surrogate"),
+    ],
+)
+def test_what_no_record_can_hold_is_told(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, words: str
 ) -> None:
-    monkeypatch.setattr(Leaving, "part", "text")
-    with pytest.raises(MethodError, match=r"Leaving' failed in findings on split .*surrogate"):
+    monkeypatch.setattr(Leaving, "part", part)
+    with pytest.raises(MethodError, match=words):
         run_job(lofo_job(dataset, f"{__name__}:Leaving"), tmp_path)
+    assert not (tmp_path / "records.jsonl").exists()
 
 
 FORKING = """
@@ -135,28 +133,6 @@ class Forking(Nearest):
 
 class Failing(Forking):
     fails = True
-"""
-
-
-def run_in(folder: Path, dataset: PasDataset, methods: str, *more: str) -> subprocess.CompletedProcess[str]:
-    """The command `run` in a process and a working folder of its own."""
-    options = f"--data {dataset.path} --results results --targets 77 --methods {methods}"
-    command = [sys.executable, "-m", "xfreqbench.cli", "run", *options.split(), *more]
-    return subprocess.run(command, capture_output=True, text=True, cwd=folder)
-
-
-def test_a_fit_that_forks_is_recorded_once(dataset: PasDataset, tmp_path: Path) -> None:
-    (tmp_path / "forking.py").write_text(FORKING)
-    done = run_in(tmp_path, dataset, "forking:Forking,forking:Failing", "--quiet")
-    assert done.returncode == 0, done.stderr
-    # each once before the clock starts, and once in the fit
-    assert done.stderr.count("it forked the process; the child ends here") == 4
-    assert len(records.read(tmp_path / "results" / "records.jsonl").records) == 2
-
-
-ENDING = """
-import os
-from xfreqbench.baselines.nearest import Nearest
 
 class Ending(Nearest):
     def fit(self, train, budget, seed):
@@ -165,15 +141,21 @@ class Ending(Nearest):
 """
 
 
-def test_a_fit_that_ends_its_process_stops_no_other(dataset: PasDataset, tmp_path: Path) -> None:
-    (tmp_path / "ending.py").write_text(ENDING)
-    done = run_in(tmp_path, dataset, "ending:Ending,nearest")
+def test_a_fit_that_forks_is_recorded_once_and_one_that_ends_its_process_stops_no_other(
+    dataset: PasDataset, tmp_path: Path
+) -> None:
+    (tmp_path / "mine.py").write_text(FORKING)
+    options = f"--data {dataset.path} --results results --targets 77 --methods mine:Ending,mine:Forking,mine:Failing"
+    command = [sys.executable, "-m", "xfreqbench.cli", "run", *options.split()]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 2, done.stderr
-    assert "1 of 2 runs failed" in done.stderr
-    assert "ending:Ending on lofo-77GHz" in done.stderr
+    # each once before the clock starts, and once in the fit
+    assert done.stderr.count("it forked the process; the child ends here") == 4
+    assert "1 of 3 runs failed" in done.stderr
+    assert "mine:Ending on lofo-77GHz" in done.stderr
     assert "ended itself with exit status 0" in done.stderr
-    (record,) = records.read(tmp_path / "results" / "records.jsonl").records
-    assert record.job.method == "nearest"
+    stored = records.read(tmp_path / "results" / "records.jsonl").records
+    assert sorted(record.job.method for record in stored) == ["mine:Failing", "mine:Forking"]
     assert not list(tmp_path.glob("results/predictions/*.lock"))
 
 

@@ -29,16 +29,19 @@ def stored() -> StoredRecords:
     return StoredRecords((first, second), (make_bench("stress"),))
 
 
-def test_the_same_records_come_back(stored: StoredRecords, tmp_path: Path) -> None:
-    path = tmp_path / "records.parquet"
-    write_table(path, stored)
+@pytest.fixture
+def path(stored: StoredRecords, tmp_path: Path) -> Path:
+    write_table(tmp_path / "records.parquet", stored)
+    return tmp_path / "records.parquet"
+
+
+def test_the_same_records_come_back(stored: StoredRecords, path: Path) -> None:
     assert (read_table(path).records, read_table(path).benches) == (stored.records, stored.benches)
     assert read_records(path) == stored.records
 
 
-def test_what_is_damaged_or_something_else_is_refused(stored: StoredRecords, tmp_path: Path) -> None:
-    path, other = tmp_path / "records.parquet", tmp_path / "other.parquet"
-    write_table(path, stored)
+def test_what_is_damaged_or_something_else_is_refused(path: Path) -> None:
+    other = path.with_name("other.parquet")
     pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), other)
     for refused, change in (
         (path, lambda: flip(path, path.stat().st_size // 3)),
@@ -50,9 +53,7 @@ def test_what_is_damaged_or_something_else_is_refused(stored: StoredRecords, tmp
             read_table(refused)
 
 
-def test_a_row_that_is_no_record_is_named(stored: StoredRecords, tmp_path: Path) -> None:
-    path = tmp_path / "records.parquet"
-    write_table(path, stored)
+def test_a_row_that_is_no_record_is_named(path: Path) -> None:
     table = pyarrow.parquet.read_table(path)
     seeds = table.set_column(table.column_names.index("step"), "step", [[1, -5, None]])
     pyarrow.parquet.write_table(seeds, path)

@@ -21,8 +21,13 @@ from xfreqbench.runs.records import BenchRecord, CurvePoint, External, Job, RunR
 from xfreqbench.runs.sealed import SEAL, SealedModel, content_sha256
 
 
-def test_records_come_back_in_order_with_jobs_curves_and_infinite_scores(tmp_path: Path) -> None:
-    path, counts = tmp_path / "records.jsonl", {"gaussians": 1024}
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "records.jsonl"
+
+
+def test_records_come_back_in_order_with_jobs_curves_and_infinite_scores(path: Path) -> None:
+    counts = {"gaussians": 1024}
     assert read(path).records == ()
     infinite = make_summary(math.inf).model_copy(update={"mean": math.nan})
     job = Job("data.h5", "nearest", "lofo", "lofo-1GHz", ("a=1",), seed=3, budget=Budget(5, 1.5))
@@ -36,14 +41,14 @@ def test_records_come_back_in_order_with_jobs_curves_and_infinite_scores(tmp_pat
     assert math.isnan(first.curve[0].loss) and first.curve[1] == curve[1]
 
 
-def test_numbers_are_those_that_are_stored(tmp_path: Path) -> None:
+def test_numbers_are_those_that_are_stored(path: Path) -> None:
     """To 1e-4 where there are many of a kind; findings to 1e-7, and small ones to three digits."""
     ssim_by_tx = ((0.1234, -0.5), (1.0,), tuple(np.linspace(-0.5, 0.7468, 1001).round(4).tolist()))
     findings = {"planes": [{"distance_m": 2.59996491812, "std_m": 1.70976e-05}], "blend": "none"}
     summary = make_summary(0.123456789)
     record = make_record(scores={"ssim": summary}, ssim_by_tx=ssim_by_tx, findings=findings)
-    append(tmp_path / "records.jsonl", record)
-    assert read(tmp_path / "records.jsonl").records == (record,)
+    append(path, record)
+    assert read(path).records == (record,)
     assert record.ssim_by_tx == ssim_by_tx
     assert record.scores["ssim"].median == 0.12345679
     np.testing.assert_allclose(record.scores["ssim"].quantiles, summary.quantiles, atol=0.5e-4)
@@ -55,8 +60,7 @@ def test_a_list_of_what_is_infinite_or_far_is_not_packed() -> None:
         assert pack([0.5, number], 1e-4)[0] == 0.5
 
 
-def test_a_line_that_a_kill_cut_off_is_counted_and_replaced_by_the_next_record(tmp_path: Path) -> None:
-    path = tmp_path / "records.jsonl"
+def test_a_line_that_a_kill_cut_off_is_counted_and_replaced_by_the_next_record(path: Path) -> None:
     append(path, make_record())
     path.write_bytes(path.read_bytes() + path.read_bytes()[:100])
     assert (len(read(path).records), read(path).num_truncated) == (1, 1)
@@ -80,8 +84,7 @@ JOURNEYS = {
 
 
 @pytest.mark.parametrize("journey", JOURNEYS)
-def test_whole_records_survive_a_journey_and_what_is_appended_after_it(tmp_path: Path, journey: str) -> None:
-    path = tmp_path / "records.jsonl"
+def test_whole_records_survive_a_journey_and_what_is_appended_after_it(path: Path, journey: str) -> None:
     for record in (make_record(), make_bench(), make_record("line-of-sight")):
         append(path, record)
     content = JOURNEYS[journey](path.read_bytes())
@@ -105,8 +108,7 @@ def test_whole_records_survive_a_journey_and_what_is_appended_after_it(tmp_path:
         pytest.param(b"note to myself", id="text"),
     ],
 )
-def test_a_last_line_that_is_neither_whole_nor_half_a_record_is_refused_and_stays(tmp_path: Path, end: bytes) -> None:
-    path = tmp_path / "records.jsonl"
+def test_a_last_line_that_is_neither_whole_nor_half_a_record_is_refused_and_stays(path: Path, end: bytes) -> None:
     append(path, make_record())
     content = path.read_bytes() + end
     path.write_bytes(content)
@@ -116,16 +118,15 @@ def test_a_last_line_that_is_neither_whole_nor_half_a_record_is_refused_and_stay
         assert path.read_bytes() == content
 
 
-def test_what_a_kill_leaves_of_a_line_is_told_from_a_whole_one_wherever_it_was_cut(tmp_path: Path) -> None:
-    path, whole = tmp_path / "records.jsonl", make_record(findings={"µ": ['é "\\', -1e-7, True]}).sealed_json()
+def test_what_a_kill_leaves_of_a_line_is_told_from_a_whole_one_wherever_it_was_cut(path: Path) -> None:
+    whole = make_record(findings={"µ": ['é "\\', -1e-7, True]}).sealed_json()
     for end in range(1, len(whole) + 1):
         path.write_bytes(whole[:end])
         stored = read(path)
         assert (len(stored.records), stored.num_truncated) == ((1, 0) if end == len(whole) else (0, 1)), whole[:end]
 
 
-def test_five_hundred_damages_lose_no_whole_record(tmp_path: Path) -> None:
-    path = tmp_path / "records.jsonl"
+def test_five_hundred_damages_lose_no_whole_record(path: Path) -> None:
     for record in (make_record(), make_bench(), make_record("line-of-sight", findings={"µ": ['é "\\', -1e-7]})):
         append(path, record)
     content = path.read_bytes()
@@ -153,8 +154,7 @@ def _append_many(path, method):
         append(path, make_record(method))
 
 
-def test_two_processes_append_whole_lines(tmp_path: Path) -> None:
-    path = tmp_path / "records.jsonl"
+def test_two_processes_append_whole_lines(path: Path) -> None:
     context = multiprocessing.get_context("fork")
     workers = [context.Process(target=_append_many, args=(path, name)) for name in ("nearest", "line-of-sight")]
     for worker in workers:
@@ -206,58 +206,51 @@ def edited(record: SealedModel, place: str, value: object) -> str:
         ("external.sha256", "abc"),
     ],
 )
-def test_a_field_that_no_run_writes_is_refused_by_file_line_and_field(
-    tmp_path: Path, place: str, value: object
-) -> None:
+def test_a_field_that_no_run_writes_is_refused_by_file_line_and_field(path: Path, place: str, value: object) -> None:
     point = CurvePoint(step=1, seconds=0.5, loss=0.1, ssim=0.4, share=1)
     whole = make_record(curve=(point,), ssim_by_tx=((0.9,),), external=External(sha256="a" * 64))
-    path = tmp_path / "records.jsonl"
     append(path, make_record())
-    path.write_text(path.read_text() + edited(whole, place, value))
+    path.write_text(path.read_text(encoding="utf-8") + edited(whole, place, value), encoding="utf-8")
     with pytest.raises(DataError, match=rf"records\.jsonl, line 2, is no run record: {place.partition('.')[0]}"):
         read(path)
 
 
-def test_a_table_with_other_cells_than_columns_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "records.jsonl"
+def test_a_table_with_other_cells_than_columns_is_refused(path: Path) -> None:
     for place, value in (("rows.0", ["image"]), ("columns", []), ("note", None)):
-        path.write_text(edited(make_bench(), place, value).replace('{"bench": ', '{"bench":'))
+        path.write_text(edited(make_bench(), place, value).replace('{"bench": ', '{"bench":'), encoding="utf-8")
         with pytest.raises(DataError, match=r"records\.jsonl, line 1, is no run record"):
             read(path)
 
 
-def test_a_line_without_its_hash_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "records.jsonl").write_text(make_record().model_dump_json() + "\n")
+def test_a_line_without_its_hash_is_refused(path: Path) -> None:
+    path.write_text(make_record().model_dump_json() + "\n", encoding="utf-8")
     with pytest.raises(DataError, match=r"line 1, .*it has no content_sha256.*Delete the line"):
-        read(tmp_path / "records.jsonl")
+        read(path)
 
 
 @pytest.mark.parametrize("record", [make_record(), make_bench()], ids=["run", "bench"])
-def test_a_record_that_was_changed_afterwards_is_refused(tmp_path: Path, record: RunRecord | BenchRecord) -> None:
-    path = tmp_path / "records.jsonl"
+def test_a_record_that_was_changed_afterwards_is_refused(path: Path, record: RunRecord | BenchRecord) -> None:
     append(path, record)
     append(path, record)
     stored = read(path)
     assert [*stored.records, *stored.benches] == [record, record]
-    first, second = path.read_text().splitlines()
+    first, second = path.read_text(encoding="utf-8").splitlines()
     assert list(json.loads(second))[-1] == "content_sha256"
-    path.write_text(f"{first}\n{second.replace('2026-01-01', '2026-01-02')}\n")
+    path.write_text(f"{first}\n{second.replace('2026-01-01', '2026-01-02')}\n", encoding="utf-8")
     with pytest.raises(DataError, match=r"line 2, .*it was changed after it was written.*Delete the line"):
         read(path)
 
 
-def test_a_record_whose_median_is_not_that_of_its_own_samples_is_refused_though_its_hash_holds(tmp_path: Path) -> None:
-    path = tmp_path / "records.jsonl"
+def test_a_record_whose_median_is_not_that_of_its_own_samples_is_refused_though_its_hash_holds(path: Path) -> None:
     whole = make_record(ssim_by_tx=((0.2, 0.90004), (1.0,)))  # samples have four decimals
     append(path, whole)
     assert len(read(path).records) == 1
-    path.write_text(edited(whole, "scores.ssim.median", 0.95))
+    path.write_text(edited(whole, "scores.ssim.median", 0.95), encoding="utf-8")
     with pytest.raises(DataError, match=r"line 1, .*median is 0\.95000, but the median of ssim_by_tx is 0\.90000"):
         read(path)
 
 
-def test_of_a_file_that_has_grown_only_new_lines_are_parsed(tmp_path: Path) -> None:
-    path = tmp_path / "records.jsonl"
+def test_of_a_file_that_has_grown_only_new_lines_are_parsed(path: Path) -> None:
     append(path, make_record("nearest"))
     append(path, make_bench())
     before = read(path)
@@ -265,16 +258,15 @@ def test_of_a_file_that_has_grown_only_new_lines_are_parsed(tmp_path: Path) -> N
     after = read(path, before)
     assert after == read(path) and len(after.records) == 2
     assert after.records[0] is before.records[0] and after.benches[0] is before.benches[0]
-    path.write_text(path.read_text().replace("2026-01-01", "2026-01-02", 1))
+    path.write_text(path.read_text(encoding="utf-8").replace("2026-01-01", "2026-01-02", 1), encoding="utf-8")
     with pytest.raises(DataError, match=r"line 1, .*it was changed after it was written"):
         read(path, after)
 
 
-def test_the_hash_of_a_record_does_not_depend_on_how_its_json_is_spaced(tmp_path: Path) -> None:
-    path = tmp_path / "records.jsonl"
+def test_the_hash_of_a_record_does_not_depend_on_how_its_json_is_spaced(path: Path) -> None:
     infinite = make_record(scores={"psnr": make_summary(math.inf)}, findings={"size": 1e-7, "µ": [1, None]})
     append(path, infinite)
-    path.write_text(json.dumps(json.loads(path.read_text()), sort_keys=True) + "\n")
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")), sort_keys=True) + "\n", encoding="utf-8")
     assert read(path).records == (infinite,)
 
 

@@ -79,7 +79,7 @@ def test_stored_sums_over_lags_are_scored_as_the_maps_that_were_predicted(result
     assert ResultsFolder(results).predictions_path(record.id).stat().st_size < 250_000
 
 
-def test_one_fit_serves_all_numbers_heard_and_finished_rooms_are_kept_unless_they_are_damaged(
+def test_one_fit_serves_all_numbers_heard_and_finished_rooms_are_kept_but_damaged_ones(
     rooms: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     adapted, adapt = [], PerRoom.adapt

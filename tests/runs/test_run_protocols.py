@@ -59,18 +59,16 @@ def test_validation_runs_stand_on_a_board_of_their_own_and_leave_the_test_alone(
         assert "77GHz" in board and f"{record.scores['ssim'].median:.4f}" in board
 
 
-@pytest.mark.parametrize("options", [{"num_gaussians": 4, "derive_targets": False}, TEXTS])
-def test_options_of_a_method_are_values_or_texts(dataset: PasDataset, tmp_path: Path, options: Options) -> None:
-    asked = {"budget": "1steps", "results": tmp_path, **TARGET}
+@pytest.mark.parametrize(
+    ("options", "budget"), [({"num_gaussians": 4, "derive_targets": False}, "1steps"), (TEXTS, xb.Budget(max_steps=1))]
+)
+def test_options_of_a_method_are_values_or_texts_and_a_budget_a_text_or_a_budget(
+    dataset: PasDataset, tmp_path: Path, options: Options, budget: str | xb.Budget
+) -> None:
+    asked = {"budget": budget, "results": tmp_path, **TARGET}
     (record,) = xb.run(dataset, {"aperture-gs": options}, **asked)  # type: ignore[arg-type]
-    assert record.job.overrides == TEXTS
+    assert (record.job.overrides, record.job.budget) == (TEXTS, xb.Budget(max_steps=1))
     assert (record.config["num_gaussians"], record.config["derive_targets"]) == (4, False)
-
-
-def test_a_budget_is_a_text_or_a_budget(dataset: PasDataset, tmp_path: Path) -> None:
-    for budget in ("3steps", xb.Budget(max_steps=3)):
-        (record,) = xb.run(dataset, "nearest", results=tmp_path, budget=budget, **TARGET)  # type: ignore[arg-type]
-        assert record.job.budget == xb.Budget(max_steps=3)
 
 
 def test_names_and_subsets_are_refused_before_the_first_fit(

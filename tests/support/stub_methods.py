@@ -15,6 +15,7 @@ from xfreqbench.errors import RunsFailedError
 from xfreqbench.methods.contract import Progress
 from xfreqbench.runs import run
 from xfreqbench.runs.jobs import Task
+from xfreqbench.runs.predictions import read_predictions
 from xfreqbench.runs.records import Job, RunRecord
 
 
@@ -82,3 +83,12 @@ def run_job(job: Job, results_dir: Path) -> RunRecord:
     except RunsFailedError as failed:
         (error,) = failed.errors.values()
         raise error from None
+
+
+def maps(results: Path, record: RunRecord) -> bytes:
+    batches = read_predictions(results / "predictions" / f"{record.id}.h5").batches(100)
+    return b"".join(batch.tobytes() for _, batch in batches)
+
+
+def curve(record: RunRecord) -> list[tuple[int, float, float]]:
+    return [(point.step, point.loss, point.ssim) for point in record.curve]

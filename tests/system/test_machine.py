@@ -31,18 +31,16 @@ def _limit(folder: Path, monkeypatch: pytest.MonkeyPatch, version: int, limit: s
     monkeypatch.setattr(machine, "_LIMITS_OF_GROUPS", folder)
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize(
+    ("version", "used", "at", "left"),
+    [(1, 10, "", 20), (2, 10, "", 20), (1, 40, "memory", 0)],  # in a container it is at the root
+)
 def test_the_limit_of_a_control_group_counts_without_its_cached_files(
-    version: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    version: int, used: int, at: str, left: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _limit(tmp_path, monkeypatch, version, f"{30 * MIB}", 10 * MIB)
-    assert available_memory_mib() == 20
-    assert available_memory_mib(4) == 5
-
-
-def test_in_a_container_the_limit_is_at_the_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    _limit(tmp_path, monkeypatch, 1, f"{30 * MIB}", 40 * MIB, at="memory")
-    assert available_memory_mib() == 0
+    _limit(tmp_path, monkeypatch, version, f"{30 * MIB}", used * MIB, at)
+    assert available_memory_mib() == left
+    assert available_memory_mib(4) == left / 4
 
 
 def test_a_control_group_without_a_limit_leaves_what_the_machine_has(

@@ -98,15 +98,6 @@ def test_a_reader_stumbles_over_what_is_not_so(text: str, why: str, tmp_path: Pa
         follow(tmp_path / "wrong.md", tmp_path / "work")
 
 
-def test_a_reader_knows_what_was_said_and_written_before(tmp_path: Path) -> None:
-    (tmp_path / "right.md").write_text(
-        "`a.txt`:\n\n```text\nseven\n```\n\n"
-        "```python\nfrom pathlib import Path\n\na = Path('a.txt').read_text()\n```\n\n"
-        "```python\nprint(a, 'and', 8)\n```\n\n```output\nseven ... 8\n```\n"
-    )
-    assert follow(tmp_path / "right.md", tmp_path / "work").said("print") == "seven\n and 8\n"
-
-
 @every_document
 def test_what_is_not_run_says_so(document: Path) -> None:
     not_everywhere = [block for block in blocks(document) if block.language in INTERPRETERS or not block.is_followed]

@@ -13,11 +13,13 @@ from tests.support.fuzzing.common import (
     ODD_NUMBERS,
     ODD_WORDS,
     WORDS,
+    check_clean,
     cut_or_flipped,
     fuzz,
-    refused,
     sentinel_folder,
     spoilt_json,
+    untouched,
+    xfreqbench,
 )
 from tests.support.fuzzing.scenes import (
     ASCII_PLY,
@@ -45,7 +47,10 @@ def generates_nothing(changed: Mapping[str, bytes | None]) -> None:
         for name, content in ({name: text.encode() for name, text in sound.items()} | changed).items():
             if content is not None:
                 (folder / name).write_bytes(content)
-        refused(folder, "generate", folder / "odd.toml", "-o", folder / "taken.h5", "--freqs", "1,10", "-q")
+        with untouched(folder):
+            outcome = xfreqbench("generate", folder / "odd.toml", "-o", folder / "taken.h5", "--freqs", "1,10", "-q")
+        assert outcome.code != 0, outcome
+        check_clean(outcome)
 
 
 def texts() -> st.SearchStrategy[str]:

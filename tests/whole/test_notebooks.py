@@ -43,14 +43,3 @@ def test_links_of_notebooks_lead_somewhere() -> None:
         told = "".join(cell.source for cell in read(path).cells if cell.cell_type == "markdown")
         for target in re.findall(r"\]\((?!https?://)([^)#\s]+)", told):
             assert (path.parent / target).exists(), f"{path.name}: {target}"
-
-
-@pytest.mark.parametrize(
-    ("printed", "words", "numbers"),
-    [
-        ("median 0.5 [-1, 2.25]", ["median", "#", "[#,", "#]"], [0.5, -1, 2.25]),
-        ("| ---- | -: |\n", ["|", "|", ":", "|"], []),
-    ],
-)
-def test_outputs_are_compared_by_words_and_numbers(printed: str, words: list[str], numbers: list[float]) -> None:
-    assert words_and_numbers(printed) == (words, numbers)

@@ -29,19 +29,16 @@ def require_equal(batch: object, dataset: PasDataset, numbers: list[int]) -> Non
         np.testing.assert_array_equal(tensor.numpy(), array, strict=True)
 
 
-def test_it_is_what_torch_calls_a_data_set(dataset: PasDataset) -> None:
+def test_it_is_what_torch_calls_a_data_set_and_a_subset_has_its_own_numbers(dataset: PasDataset) -> None:
     samples = to_torch(dataset)
     assert isinstance(samples, Dataset)
     assert len(samples) == len(dataset) == 12
     sample = samples[7]
     assert [tensor.shape for tensor in sample] == [(90, 360), (3,), (), (4,)]
     require_equal([tensor[None] for tensor in sample], dataset, [7])
+    require_equal([tensor[None] for tensor in to_torch(dataset[[9, 4]])[1]], dataset, [4])
     with pytest.raises(IndexError, match="0 to 11, but 12"):
         samples[12]
-
-
-def test_a_subset_has_its_own_numbers(dataset: PasDataset) -> None:
-    require_equal([tensor[None] for tensor in to_torch(dataset[[9, 4]])[1]], dataset, [4])
 
 
 @pytest.mark.parametrize("maps", [True, False])

@@ -21,8 +21,7 @@ from xfreqbench.baselines.wrf_gs_plus import WRFGSPlus
 from xfreqbench.baselines.xfreq_gs import XFreqGS
 from xfreqbench.baselines.xfreq_gs_paper import XFreqGSPaper
 
-from tests.support.descent import curve, maps
-from tests.support.stub_methods import lofo_job, run_job
+from tests.support.stub_methods import curve, lofo_job, maps, run_job
 from tests.support.synthetic import write_dataset
 from tests.support.training import DIVIDING, TINY, predicted, reloaded, tiny, trained
 from xfreqbench.data.dataset import PasDataset
@@ -105,12 +104,14 @@ def test_a_fit_goes_on_from_its_files_as_if_it_had_never_stopped(
     assert (numbers[0] < numbers[1] < numbers[2]) == (method in DIVIDED)
 
 
-def test_a_step_of_the_weights_is_forgotten_at_the_rate_that_is_asked_for() -> None:
+def test_a_step_of_the_weights_is_forgotten_at_its_rate_and_all_where_sizes_change() -> None:
     kept, layer, mean = 0.5, torch.nn.Linear(2, 1, bias=False), None
     for step in range(-20, 4):  # past the start, when the mean keeps less
         torch.nn.init.constant_(layer.weight, float(step <= 0))
         mean = learned.averaged(mean, layer, kept)
         assert mean.module.weight[0, 0].item() == pytest.approx(kept ** max(step, 0))
+    wider = torch.nn.Linear(3, 1, bias=False)
+    assert torch.equal(learned.averaged(mean, wider, kept).module.weight, wider.weight)
 
 
 def test_the_mean_of_weights_begins_anew_where_gaussians_are_replaced_by_as_many_others(

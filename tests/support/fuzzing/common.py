@@ -130,13 +130,6 @@ def check_clean(outcome: Outcome, *names: str) -> None:
         assert "Error" in outcome.message, outcome  # the frame of what is no option at all
 
 
-def refused(folder: Path, *words: str | Path) -> None:
-    with untouched(folder):
-        outcome = xfreqbench(*words)
-    assert outcome.code != 0, outcome
-    check_clean(outcome)
-
-
 def check_refusal(message: str | None, *names: str) -> None:
     """A refusal is more than the name of what it refuses, and no library's own words."""
     if message is None:
