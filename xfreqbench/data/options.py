@@ -145,6 +145,7 @@ def taking(
     def decorated(function: Callable[[Any, FilePath, GenerateOptions], Returned]) -> TakesOptions[Taken, Returned]:
         known = [each for each in inspect.signature(options).parameters.values() if each.name not in without]
         known = [each.replace(default=each.empty) if each.name in needed else each for each in known]
+        # annotations are texts here; without their `Doc`s they are short enough for `help`
         known = [each.replace(annotation=each.annotation[len("Annotated[") :].partition(", Doc(")[0]) for each in known]
         own = [*inspect.signature(function).parameters.values()][:2]
         signature, hints = inspect.Signature([*own, *known]), get_type_hints(GenerateOptions, include_extras=True)
