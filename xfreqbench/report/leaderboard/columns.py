@@ -170,8 +170,10 @@ def columns(comparison: Comparison, names: Sequence[str]) -> list[_Column]:
                 found.append(of_ssim(short_name(split), hint, value))
         elif name in COSTS:
             found += [of_cost(name)] if any(not isnan(cost_of(record, name)) for record in board.records) else []
-        elif name != "origin" or board.origins:
-            found.append(every[name] if name in every else of_metric(name))
+        elif name in every:
+            found += [every[name]] if name != "origin" or board.origins else []
+        else:
+            found += [of_metric(name)] if any(name in record.scores for record in board.records) else []
     return found
 
 
