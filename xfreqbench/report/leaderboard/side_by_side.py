@@ -248,9 +248,15 @@ def _notes(a: Board, b: Board, pairs: Sequence[Comparison]) -> list[str]:
 
 
 def _content_of(found: Mapping[tuple[object, ...], Board]) -> str:
-    """Data sets, protocols and methods of a set of results."""
-    return "; ".join(
-        f"{board.title} of data {board.data_name}, versions {board.records[0].protocol_version} and "
-        f"{board.records[0].metrics_version} of protocol and metrics ({', '.join(row.label for row in board.rows)})"
-        for board in found.values()
-    )
+    """Data sets, protocols and methods of a set of results, the first of each."""
+
+    def first(texts: Sequence[str], number: int) -> str:
+        more = len(texts) - number
+        return ", ".join(texts[:number]) + (f" and {more} more" if more > 0 else "")
+
+    told = []
+    for board in found.values():
+        versions = f"{board.records[0].protocol_version} and {board.records[0].metrics_version} of protocol and metrics"
+        rows = first([row.label for row in board.rows], 4)
+        told.append(f"{board.title} of data {board.data_name}, versions {versions} ({rows})")
+    return first(told, 2)
