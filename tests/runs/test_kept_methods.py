@@ -14,6 +14,7 @@ from tests.support.stub_methods import lofo_job, run_job, task_of
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import Budget
+from xfreqbench.runs import fit
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.records import RunRecord
 
@@ -48,6 +49,20 @@ def test_a_loaded_method_goes_on_with_its_fit(dataset: PasDataset, kept: tuple[P
     method = xb.load_method(*kept)
     train = dataset[task_of(kept[1].job).split.train]
     assert next(iter(method.fit(train, Budget(max_steps=9), 0))).step == 4
+
+
+def test_a_run_that_was_killed_after_its_fit_predicts_with_the_method_that_it_has_stored(
+    copied: tuple[Path, RunRecord], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results, record = copied
+    path = ResultsFolder(results).predictions_path(record.id)
+    before = path.read_bytes()
+    path.unlink()
+    (results / "records.jsonl").unlink()
+    monkeypatch.setattr(fit, "fit_within", None)
+    again = run_job(record.job, results)
+    assert (again.fit_seconds, again.scores, again.curve) == (record.fit_seconds, record.scores, record.curve)
+    assert path.read_bytes() == before
 
 
 def test_a_method_of_a_damaged_file_is_refused_in_a_line(copied: tuple[Path, RunRecord]) -> None:
