@@ -202,7 +202,7 @@ def checked_num_parameters(method: Method | RoomMethod) -> int:
     return count
 
 
-def checked_findings(method: Method) -> dict[str, Any]:
+def checked_findings(method: Method | RoomMethod) -> dict[str, Any]:
     """What the method says it has learned, as JSON has it; empty for a method that does not say.
 
     Raises whatever `findings` raises, and `plain_json` for values that no record can hold.

@@ -12,6 +12,8 @@ from xfreqbench.scene.model import NEAR_M, ReceiverArray
 from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
+# All pairs of so many paths with the others are in memory at a time.
+_BLOCK_PATHS = 512
 NO_INTERACTION, SPECULAR, DIFFUSE, REFRACTION, DIFFRACTION = 0, 1, 2, 4, 8  # Sionna RT's codes
 
 
@@ -148,8 +150,8 @@ class RaggedPaths:
         last = np.cumsum(self.num_paths)
         mean = np.zeros((len(tx), len(carrier_hz)))
         for row, (start, stop) in enumerate(zip((last - self.num_paths)[tx], last[tx], strict=True)):
-            for first in range(start, stop, 512):  # all pairs of these with the others are in memory at a time
-                part = slice(first, min(first + 512, stop))
+            for first in range(start, stop, _BLOCK_PATHS):  # all pairs of these with the others are in memory at a time
+                part = slice(first, min(first + _BLOCK_PATHS, stop))
                 x = 2 * np.pi * radius_wavelengths * cdist(across[part], across[start:stop])
                 shared = np.divide(2 * j1(x), x, out=np.ones_like(x), where=x > 0)
                 mean[row] += (turned[part].conj() * (shared @ turned[start:stop])).sum(axis=0).real

@@ -22,6 +22,7 @@ from tests.support.fuzzing.png import write_png_folder
 from tests.support.fuzzing.scenes import ASCII_PLY, REFERRING_SCENE, SMALL_SCENE, XML, toml_file
 from xfreqbench.data.collection import room_of, write_collection
 from xfreqbench.data.dataset import open_dataset
+from xfreqbench.data.options import GenerateOptions
 from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import benchmark, checkpoints
@@ -51,7 +52,7 @@ def small_benchmark() -> Iterator[None]:
     """`benchmark` knows a preset `fuzz` of two carriers, and runs it in this process."""
     with (
         mock.patch.dict(PRESETS, fuzz=PRESET),
-        mock.patch.object(benchmark, "_PAPER_HZ", (1e9, 10e9)),
+        mock.patch.object(benchmark, "GenerateOptions", functools.partial(GenerateOptions, (1.0, 10.0))),
         mock.patch.object(benchmark, "run_workers", lambda *_: contextlib.nullcontext(HERE)),
     ):
         yield
