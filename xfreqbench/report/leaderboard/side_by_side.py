@@ -257,6 +257,6 @@ def _content_of(found: Mapping[tuple[object, ...], Board]) -> str:
     told = []
     for board in found.values():
         versions = f"{board.records[0].protocol_version} and {board.records[0].metrics_version} of protocol and metrics"
-        rows = first([row.label for row in board.rows], 4)
+        rows = first([row.label for row in board.rows], 8)
         told.append(f"{board.title} of data {board.data_name}, versions {versions} ({rows})")
     return first(told, 2)
