@@ -25,7 +25,9 @@ def stored() -> StoredRecords:
     scores = {"ssim": make_summary(0.1234), "psnr": make_summary(3.0)}
     first = make_record(scores=scores, ssim_by_tx=ssim_by_tx, curve=curve)
     external = External(sha256="a" * 64, url="https://example.org")
-    second = make_record("theirs", scores=scores, external=external, findings={"planes": [1.5]}, fit_seconds=None)
+    second = make_record(
+        "theirs", scene="[a room]", scores=scores, external=external, findings={"planes": [1.5]}, fit_seconds=None
+    )
     return StoredRecords((first, second), (make_bench("stress"),))
 
 
@@ -42,9 +44,12 @@ def test_the_same_records_come_back(stored: StoredRecords, path: Path) -> None:
 
 def test_what_is_damaged_or_something_else_is_refused(path: Path) -> None:
     other = path.with_name("other.parquet")
+    columns = pyarrow.parquet.ParquetFile(path).metadata.row_group(0)
+    (ssim,) = [each for each in map(columns.column, range(columns.num_columns)) if each.path_in_schema[:4] == "ssim"]
+    end = ssim.data_page_offset + ssim.total_compressed_size
     pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), other)
     for refused, change in (
-        (path, lambda: flip(path, path.stat().st_size // 3)),
+        (path, lambda: flip(path, end - 1)),
         (path, lambda: path.write_bytes(path.read_bytes()[:-9])),
         (other, lambda: None),
     ):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -67,9 +68,15 @@ def read_table(path: Path) -> StoredRecords:
                 benches.append(BenchRecord.model_validate(json.loads(bench)))
             else:
                 by_tx = [samples[number].values.to_numpy(), ssim[number].values.to_numpy() / 10**4]
-                plain = {name: json.loads(text) if str(text)[:1] in ("{", "[") else text for name, text in row.items()}
-                runs.append(RunRecord.model_validate({**plain, "ssim_by_tx": by_tx}))
+                fields = {name: _plain(name, value) for name, value in row.items()}
+                runs.append(RunRecord.model_validate({**fields, "ssim_by_tx": by_tx}))
         except (ValidationError, ValueError, LookupError) as error:
             fault = fault_of_fields(error) if isinstance(error, ValidationError) else error
             raise DataError(f"{path}, row {number}, is no record: {fault}.") from error
     return StoredRecords(tuple(runs), tuple(benches))
+
+
+def _plain(name: str, value: Any) -> Any:
+    """The value of a field, of which lists and dictionaries are JSON; a text, such as a scene's name, may look so."""
+    is_json = isinstance(value, str) and value[:1] in ("{", "[") and RunRecord.model_fields[name].annotation is not str
+    return json.loads(value) if is_json else value
