@@ -185,12 +185,15 @@ def tasks_of(
         link: tuple[str | None, ...] = ()
     else:
         splits, link = make_splits(opened, protocol, targets_ghz, on), opened.link
-    tasks = []
+    tasks = list[Task]()
     for name, options in methods:
+        alike = list[Task]()
         for seed in seeds:
             for split in splits:
                 job = Job(data, name, split.protocol, split.name, options, seed, budget, *link)
-                tasks.append(Task.of(job, opened, split))
+                alike.append(Task.of(job, opened, split))
+                alike[-1].__dict__["code_sha256"] = alike[0].code_sha256  # its files are read once
+        tasks += alike
     return tasks
 
 

@@ -300,9 +300,8 @@ def _send_fit(job: Job, fit: Fit) -> None:
 def run_task(task: Task, folder: ResultsFolder, fitting: FitProgress | None = None) -> RunRecord:
     """Fit, store the method, predict, store the predictions, and score what was stored; the record of all that.
 
-    The caller stores the record and then removes the checkpoints, which stay until then: a job without a record is
-    unfinished. Raises `InUseError` where another process, such as a worker that lost its driver, is at the job for more
-    than a minute.
+    The caller stores the record and then removes what is kept of rooms: a job without a record is unfinished. Raises
+    `InUseError` where another process, such as a worker that lost its driver, is at the job for more than a minute.
     """
     path, split = folder.predictions_path(task.id), task.split
     require_no_others(path, ROOM_SCHEMA if isinstance(split, RoomSplit) else SCHEMA)
