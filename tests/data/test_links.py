@@ -24,6 +24,7 @@ from xfreqbench.errors import DataError, OutputExistsError, ProtocolError, Unkno
 from xfreqbench.exchange.split_file import write_splits
 from xfreqbench.methods.lookup import TrainingTransmitters
 from xfreqbench.report.view.describe import describe
+from xfreqbench.runs.options import RunOptions
 from xfreqbench.runs.run import asked_tasks
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.tracing.tracer import Channel
@@ -284,7 +285,7 @@ def test_a_run_says_which_link_of_several_methods_see(joint: PasDataset, tmp_pat
     assert done.code == 0, done.message
     assert "methods see receiver first one of first one, low; option receiver chooses another" in done.message
     assert "methods see polarization VV of VV, VH, HV, HH; option polarization chooses another" in done.message
-    held_out = asked_tasks(joint.path, ["nearest"], "held-out-receiver", None, "test", [0], None, "cpu", None, "VH")
+    held_out = asked_tasks(joint.path, ["nearest"], RunOptions("held-out-receiver", polarization="VH"))
     crossed = ["methods see polarization VH of VV, VH, HV, HH; option polarization chooses another"]
     assert [task.notes for task in held_out] == [crossed, crossed]
 

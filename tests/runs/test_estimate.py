@@ -25,8 +25,8 @@ def test_a_dry_run_says_jobs_and_time_and_writes_nothing(
     dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     results = tmp_path / "results"
-    asked = {"data": dataset.path, "results": results, "targets": "2.4,77", "dry_run": True}
-    runs.run(method="nearest,aperture-gs", budget="10m", seed="0,1", executor="2", **asked)  # type: ignore[arg-type]
+    options = runs.RunArguments(results=results, targets_ghz="2.4,77", budget="10m", seeds="0,1", executor="2")
+    runs.run(data=dataset.path, method="nearest,aperture-gs", options=options, dry_run=True)
     said = capsys.readouterr().out
     assert said.startswith(f"lofo on {dataset.path.name}: 8 runs: 8 to run, up to 21 min, 2 at a time; nothing")
     assert not results.exists()
@@ -36,7 +36,7 @@ def test_a_dry_run_says_jobs_and_time_and_writes_nothing(
     ("wrong", "kind"),
     [
         ({"method": "neares"}, UnknownNameError),
-        ({"targets": "3"}, ProtocolError),
+        ({"targets_ghz": "3"}, ProtocolError),
         ({"executor": "many"}, XFreqBenchError),
         ({"set_": ("width=1",)}, XFreqBenchError),
     ],
@@ -44,9 +44,11 @@ def test_a_dry_run_says_jobs_and_time_and_writes_nothing(
 def test_a_dry_run_finds_the_mistakes_of_a_run(
     dataset: PasDataset, tmp_path: Path, wrong: dict, kind: type[Exception]
 ) -> None:
-    asked = {"data": dataset.path, "results": tmp_path, "method": "nearest", "targets": "77", "dry_run": True}
+    asked = {"data": dataset.path, "method": "nearest", "dry_run": True}
+    options = {name: wrong.pop(name) for name in wrong.keys() & {"targets_ghz", "executor"}}
+    options = runs.RunArguments(**{"results": tmp_path, "targets_ghz": "77", **options})
     with pytest.raises(kind):
-        runs.run(**{**asked, **wrong})
+        runs.run(**{**asked, **wrong}, options=options)
 
 
 def test_finished_runs_take_no_time(dataset: PasDataset, tmp_path: Path) -> None:

@@ -22,7 +22,15 @@ from xfreqbench.system.workers import HERE, InThisProcess
 
 SMALL = Preset(
     description="a dozen transmitters of an empty room",
-    blocks=(Block("empty", "lofo", (Setting("aperture-gs", ("num_gaussians=8",)),), "2steps", (0, 1), (77.0,)),),
+    blocks=(
+        Block(
+            scene="empty",
+            settings=(Setting("aperture-gs", ("num_gaussians=8",)),),
+            budget="2steps",
+            seeds=(0, 1),
+            targets_ghz=(77.0,),
+        ),
+    ),
     left_out="nearly everything",
     num_tx={"empty": 12},
 )
@@ -167,7 +175,10 @@ def test_failed_runs_are_named_and_the_others_kept(folder: Path, monkeypatch: py
     planned = plan_benchmark("small", folder / "data", folder / "results")
     benchmarks.generate_data(planned)
     broken = Preset(
-        "", (Block("empty", "held-out-tx", tuple(map(Setting, EVERY_TRIVIAL[:2])), None),), "", {"empty": 12}
+        "",
+        (Block(scene="empty", protocol="held-out-tx", settings=tuple(map(Setting, EVERY_TRIVIAL[:2])), budget=None),),
+        "",
+        {"empty": 12},
     )
     results = folder / "other"
     (results / "predictions").mkdir(parents=True)

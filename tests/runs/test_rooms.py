@@ -31,6 +31,7 @@ from xfreqbench.runs import run as runner
 from xfreqbench.runs.estimate import estimate_runs
 from xfreqbench.runs.folder import ResultsFolder, read_records
 from xfreqbench.runs.jobs import tasks_of
+from xfreqbench.runs.options import RunOptions
 from xfreqbench.runs.run import run
 
 SMALL = ["queries=8", "headings=16", "distances=12"]
@@ -164,8 +165,8 @@ def test_what_rooms_have_no_choice_of_is_refused(rooms: Collection, tmp_path: Pa
 
 
 def test_budgets_are_spent_in_each_room_or_once(rooms: Collection, tmp_path: Path) -> None:
-    methods, budget = [("xfreq-gs", ()), ("room-lags", ())], Budget(None, 60)
-    tasks = tasks_of(str(rooms.path), rooms, methods, "unseen-rooms", None, (0,), budget)
+    methods = [("xfreq-gs", ()), ("room-lags", ())]
+    tasks = tasks_of(str(rooms.path), rooms, methods, RunOptions("unseen-rooms", budget="1m"))
     assert estimate_runs(tasks, tmp_path).num_fits == (1, 1, 1, 1, 1, 0, 0, 0)  # one room is tested
 
 

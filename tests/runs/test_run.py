@@ -257,13 +257,13 @@ def test_whoever_asks_is_told_of_every_step(dataset: PasDataset, tmp_path: Path)
 
 
 def run_cli(dataset: PasDataset, results: Path, method: str, **options: str) -> list[records.Job]:
-    data, method = Path(dataset.path), f"nearest,{__name__}:{method}"
-    runs.run(data=data, results=results, method=method, targets="77", budget="1steps", quiet=True, **options)
+    arguments = runs.RunArguments(results=results, targets_ghz="77", budget="1steps", **options)
+    runs.run(data=dataset.path, method=f"nearest,{__name__}:{method}", options=arguments, quiet=True)
     return [record.job for record in records.read(results / "records.jsonl").records]
 
 
 def test_a_list_of_seeds_is_a_run_each(dataset: PasDataset, tmp_path: Path) -> None:
-    jobs = run_cli(dataset, tmp_path, "Stepwise", seed="0, 2,2")
+    jobs = run_cli(dataset, tmp_path, "Stepwise", seeds="0, 2,2")
     names = ("nearest", f"{__name__}:Stepwise")
     assert [(job.method, job.seed) for job in jobs] == [(name, seed) for name in names for seed in (0, 2)]
 
@@ -271,7 +271,7 @@ def test_a_list_of_seeds_is_a_run_each(dataset: PasDataset, tmp_path: Path) -> N
 @pytest.mark.parametrize("seed", ["", "1;2", "-1", "0.5"])
 def test_a_seed_that_is_no_whole_number_is_refused(dataset: PasDataset, tmp_path: Path, seed: str) -> None:
     with pytest.raises(XFreqBenchError, match="--seeds takes whole numbers"):
-        run_cli(dataset, tmp_path, "Stepwise", seed=seed)
+        run_cli(dataset, tmp_path, "Stepwise", seeds=seed)
 
 
 def test_a_device_is_an_option_of_the_methods_that_have_one(dataset: PasDataset, tmp_path: Path) -> None:
@@ -292,8 +292,8 @@ def test_a_running_fit_is_shown(
     """A fit in another process, which is that of a method of another package, is shown ten times a second."""
     for name, value in ON_A_TERMINAL.items():
         monkeypatch.setenv(name, value)
-    options = {"method": f"{__name__}:Stepwise", "targets": "77", "budget": "4steps"}
-    runs.run(data=dataset.path, results=tmp_path, executor=executor, **options)
+    options = runs.RunArguments(results=tmp_path, targets_ghz="77", budget="4steps", executor=executor)
+    runs.run(data=dataset.path, method=f"{__name__}:Stepwise", options=options)
     shown = " ".join(capsys.readouterr().err.split())
     assert "1 of 1 runs" in shown
     assert state in shown
@@ -332,8 +332,8 @@ def test_a_fit_that_got_little_of_a_core_is_told(
     dataset: PasDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Waiting, "clock", set_clock(monkeypatch, fitting), raising=False)
-    options = {"data": dataset.path, "targets": "24.25", "budget": "3steps", "results": tmp_path}
-    runs.run(method=f"{__name__}:Waiting", executor="serial", **options)
+    options = runs.RunArguments(results=tmp_path, targets_ghz="24.25", budget="3steps", executor="serial")
+    runs.run(data=dataset.path, method=f"{__name__}:Waiting", options=options)
     (record,) = records.read(tmp_path / "records.jsonl").records
     assert record.core_share == 0.5 < records.LEAST_CORE_SHARE
     said = capsys.readouterr()

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from pathlib import Path
 
 import pytest
 
 import xfreqbench as xb
+from tests.support.fuzzing.common import xfreqbench
 from tests.support.stub_methods import lofo_job, run_jobs
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import MethodError, RunsFailedError, UnknownNameError, XFreqBenchError
-from xfreqbench.runs.run import Options
+from xfreqbench.runs.options import MethodOptions, RunOptions
 
 TARGET = {"targets_ghz": [77.0]}
 TEXTS = ("num_gaussians=4", "derive_targets=false")
+
+
+def test_the_options_of_the_command_are_those_of_python_and_each_says_what_it_is() -> None:
+    options = {each.name: each for each in inspect.signature(RunOptions).parameters.values()}
+    taken = {**inspect.signature(xb.run).parameters}
+    assert [*taken] == ["data", "methods", *options]
+    command = xfreqbench("run", "--help").stdout
+    for name, option in options.items():
+        assert (taken[name].default, taken[name].kind) == (option.default, option.kind)
+        assert f"    {name}: " in xb.run.__doc__
+        assert name == "progress" or f"--{name.replace('_', '-')}" in command
 
 
 def test_records_come_in_the_order_of_methods_seeds_and_splits(dataset: PasDataset, tmp_path: Path) -> None:
@@ -63,7 +76,7 @@ def test_validation_runs_stand_on_a_board_of_their_own_and_leave_the_test_alone(
     ("options", "budget"), [({"num_gaussians": 4, "derive_targets": False}, "1steps"), (TEXTS, xb.Budget(max_steps=1))]
 )
 def test_options_of_a_method_are_values_or_texts_and_a_budget_a_text_or_a_budget(
-    dataset: PasDataset, tmp_path: Path, options: Options, budget: str | xb.Budget
+    dataset: PasDataset, tmp_path: Path, options: MethodOptions, budget: str | xb.Budget
 ) -> None:
     asked = {"budget": budget, "results": tmp_path, **TARGET}
     (record,) = xb.run(dataset, {"aperture-gs": options}, **asked)  # type: ignore[arg-type]

@@ -84,7 +84,7 @@ REFUSED = {  # call: what the error says
     "xb.run(data, 'nearest', targets_ghz=10, on='validation')": "there must be 3 or more",
     "xb.run(data, 'nearest', seeds=[-1])": "-1 in seeds: Input should be greater than or equal to 0",
     "xb.run(data, 'nearest', seeds=[])": "at least 1 item",
-    "xb.run(data, 'nearest', budget=10)": "budget=10",
+    "xb.run(data, 'nearest', budget=10)": "or is one of quick, minutes, converged, but 10 was given",
     "xb.run(data, 'nearest', device='gpu')": "'cpu' or 'cuda'",
     "xb.score(maps, None, data)": "split=None",
     "xb.score([[1], []], split, data)": "one array of numbers (N, E, A)",

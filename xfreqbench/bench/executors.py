@@ -19,10 +19,10 @@ from xfreqbench.data.options import GenerateOptions
 from xfreqbench.data.plan import BATCH, Plan, plan_generation
 from xfreqbench.data.splits import LOFO_TARGETS_GHZ
 from xfreqbench.errors import XFreqBenchError
-from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import tasks_of
+from xfreqbench.runs.options import RunOptions
 from xfreqbench.runs.records import BenchFigure, BenchPoint
 from xfreqbench.runs.run import run_jobs
 from xfreqbench.system.cluster import dask_workers, is_installed, local_cluster
@@ -139,8 +139,8 @@ class _Runs:
         """Do the runs; return the sha256 of all prediction files with their names."""
         data, results = self._folder / f"{SERIAL}.h5", self._folder / f"runs of {way}"
         dataset, methods = open_dataset(data), [(method, ()) for method in NEEDED_TRIVIAL]
-        targets_ghz = LOFO_TARGETS_GHZ[:NUM_SPLITS]
-        run_jobs(tasks_of(str(data), dataset, methods, "lofo", targets_ghz, [0], Budget()), results, workers)
+        asked = RunOptions("lofo", targets_ghz=LOFO_TARGETS_GHZ[:NUM_SPLITS], budget=None)
+        run_jobs(tasks_of(str(data), dataset, methods, asked), results, workers)
         digest = hashlib.sha256()
         for path in ResultsFolder(results).predictions_paths():
             digest.update(path.name.encode() + path.read_bytes())

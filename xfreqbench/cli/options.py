@@ -15,7 +15,7 @@ from cyclopts import App, CycloptsError, CycloptsPanel, Group, MissingArgumentEr
 from typing_extensions import Doc
 
 from xfreqbench.errors import XFreqBenchError
-from xfreqbench.system.arguments import CarriersGhz
+from xfreqbench.system.arguments import CarriersGhz, ScoredOn
 from xfreqbench.units import PAPER_CARRIERS_GHZ, ghz_to_hz, parse_number
 
 if TYPE_CHECKING:
@@ -98,14 +98,7 @@ Flag = Annotated[bool, Parameter(negative="")]
 Hidden = Annotated[Any, Parameter(parse=False)]
 Quiet = Annotated[bool, Parameter(name=["--quiet", "-q"], negative="", help="Print errors only.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write.")]
-ScoredOnOption = Annotated[
-    Literal["test", "validation"],
-    Parameter(
-        name="--on",
-        help="test: the protocol's test rows; validation: some of its training rows, to choose settings by. "
-        "They stand on a board of their own.",
-    ),
-]
+ScoredOnOption = Annotated[ScoredOn, Parameter(help=get_args(ScoredOn)[1].documentation)]
 
 
 def example(words: str) -> str:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -13,8 +14,8 @@ from xfreqbench.cli.options import (
     RUN,
     SEEDS,
     TARGETS,
+    Hidden,
     Quiet,
-    ScoredOnOption,
     app,
     as_typed,
     example,
@@ -22,8 +23,10 @@ from xfreqbench.cli.options import (
     parse_whole_numbers,
     print_table,
     say,
+    with_help,
 )
 from xfreqbench.errors import XFreqBenchError
+from xfreqbench.runs.options import RunOptions
 
 Overrides = Annotated[
     tuple[str, ...],
@@ -108,6 +111,19 @@ def new_method(
     )
 
 
+@with_help
+@dataclass(frozen=True, kw_only=True)
+class RunArguments(RunOptions):
+    """The options of `run` as a command line gives them."""
+
+    results: Path = field()
+    targets_ghz: Annotated[str | None, Parameter(name=TARGETS)] = None  # type: ignore[assignment]
+    seeds: Annotated[str, Parameter(name=SEEDS)] = "0"  # type: ignore[assignment]
+    budget: str = "quick"
+    executor: str | None = None  # type: ignore[assignment]
+    progress: Hidden = "auto"
+
+
 @app.command(
     group=RUN,
     help_epilogue=example(
@@ -117,7 +133,6 @@ def new_method(
 def run(
     *,
     data: Annotated[Path, Parameter(help="Data set, or for unseen-rooms collection, written by `generate`.")],
-    results: Annotated[Path, Parameter(help="Folder for records, predictions and checkpoints.")],
     method: Annotated[
         str,
         Parameter(
@@ -126,48 +141,8 @@ def run(
             "across rooms on protocols of rooms alone.",
         ),
     ],
-    protocol: Annotated[
-        str,
-        Parameter(
-            help="lofo: leave one frequency out; sparse: the paper's three training sets; held-out-tx: unseen "
-            "transmitters; held-out-block: unseen regions of the room; lofo-unseen-tx: unseen carriers and "
-            "transmitters; random-samples: a fifth of all samples, which leaks both; held-out-receiver: a receiver of "
-            "several, each in turn; unseen-rooms: rooms of a collection that were never trained on, and "
-            "unseen-rooms-plan, which tells their plans."
-        ),
-    ] = "lofo",
-    targets: Annotated[
-        str | None,
-        Parameter(
-            name=TARGETS,
-            help="Held-out carriers of lofo and lofo-unseen-tx in GHz, comma-separated, or `all`; by default "
-            "2.4,24.25,77.",
-        ),
-    ] = None,
-    on: ScoredOnOption = "test",
-    seed: Annotated[str, Parameter(name=SEEDS, help="Seeds of the methods, comma-separated: one run each.")] = "0",
-    budget: Annotated[
-        str,
-        Parameter(
-            help="Fitting budget of every run: 300s, 5m, 2h, 2000steps, 64000maps, or a lane of the leaderboard: quick "
-            "(64000maps), minutes (5m), converged (200000maps)."
-        ),
-    ] = "quick",
-    device: Annotated[Literal["cpu", "cuda"], Parameter(help="Where methods that have the choice compute.")] = "cpu",
-    receiver: Annotated[
-        str | None, Parameter(help="Receiver that methods hear, of data with several; the first if absent.")
-    ] = None,
-    polarization: Annotated[
-        str | None, Parameter(help="Pair of polarizations, of data with several, as in VH; the first if absent.")
-    ] = None,
+    options: Annotated[RunArguments, Parameter(name="*")],
     set_: Overrides = (),
-    executor: Annotated[
-        str | None,
-        Parameter(
-            help="serial: in this process; 4: as many processes here, a new one for each run; dask://host:8786: "
-            "workers of a cluster; serial if absent, and 1 where a method is not of this package."
-        ),
-    ] = None,
     dry_run: Annotated[
         bool, Parameter(negative="", help="Print how many runs there are and their time; run none.")
     ] = False,
@@ -182,20 +157,21 @@ def run(
     from xfreqbench.runs.run import asked_tasks, run_shown, usual_executor
     from xfreqbench.system.processes import SERIAL, require_executor
 
-    require_executor(executor or SERIAL)
-    methods: dict[str | type, tuple[str, ...]] = dict.fromkeys(map(str.strip, method.split(",")), set_)
-    targets_ghz, link = parse_targets_ghz(targets), (receiver, polarization)
-    seeds = parse_whole_numbers(as_typed(SEEDS), seed, 0, 10**18 - 1)
-    tasks = asked_tasks(data, methods, protocol, targets_ghz, on, seeds, budget, device, *link)
-    executor = executor or usual_executor(tasks)
+    require_executor(options.executor or SERIAL)
+    asked: dict[str, Any] = vars(options) | {
+        "targets_ghz": parse_targets_ghz(options.targets_ghz),
+        "seeds": parse_whole_numbers(as_typed(SEEDS), options.seeds, 0, 10**18 - 1),
+    }
+    tasks = asked_tasks(data, dict.fromkeys(map(str.strip, method.split(",")), set_), RunOptions(**asked))
+    executor = options.executor or usual_executor(tasks)
     if dry_run:
-        print(f"{protocol} on {data.name}: {estimate_runs(tasks, results, executor)}; nothing was run")
+        print(f"{options.protocol} on {data.name}: {estimate_runs(tasks, options.results, executor)}; nothing was run")
         return
-    records = run_shown(tasks, results, executor, not quiet)
+    records = run_shown(tasks, options.results, executor, not quiet)
     from xfreqbench.report.leaderboard.tables import Leaderboard  # after the refusals, which it would delay
 
-    more = "Tables by carrier, type of room and sight" if protocol in ROOM_PROTOCOLS else "Every metric"
-    say(f"{Leaderboard.beside(results, records)}\n\n{more}: xfreqbench report {results}", quiet)
+    more = "Tables by carrier, type of room and sight" if options.protocol in ROOM_PROTOCOLS else "Every metric"
+    say(f"{Leaderboard.beside(options.results, records)}\n\n{more}: xfreqbench report {options.results}", quiet)
 
 
 @app.command(group=RUN, help_epilogue=example("benchmark --preset quick"))

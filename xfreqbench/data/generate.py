@@ -14,7 +14,7 @@ from pydantic import InstanceOf
 
 from xfreqbench.data.batches import BatchStore, claimed_batches, holds_batches_of
 from xfreqbench.data.dataset import PasDataset, holds_same_job, links, open_dataset
-from xfreqbench.data.options import GenerateOptions, taking
+from xfreqbench.data.options import GenerateOptions
 from xfreqbench.data.paths import PathTotals
 from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.data.retrace import require_origin
@@ -23,7 +23,7 @@ from xfreqbench.data.writer import PasWriter, SampleBlock
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.scene.model import Scene
-from xfreqbench.system.arguments import FilePath
+from xfreqbench.system.arguments import FilePath, taking
 from xfreqbench.system.bars import announcing, progress_bars
 from xfreqbench.system.cluster import differences
 from xfreqbench.system.files import require_space

@@ -5,34 +5,18 @@ NumPy is not imported here: the command line shows these options in its help.
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, replace
-from functools import wraps
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    Literal,
-    ParamSpec,
-    Protocol,
-    TypeVar,
-    get_type_hints,
-    runtime_checkable,
-)
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typing_extensions import Doc
 
-from xfreqbench.system.arguments import CarriersGhz, FilePath, Positions, Texts, Word, checked
+from xfreqbench.system.arguments import CarriersGhz, Positions, Texts, Word
 from xfreqbench.system.bars import Shown
 from xfreqbench.units import PAPER_CARRIERS_GHZ
 
 if TYPE_CHECKING:
     from xfreqbench.tracing.tracer import TraceSettings
-
-Taken = ParamSpec("Taken")
-Returned = TypeVar("Returned")
-Made = TypeVar("Made", covariant=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,43 +107,3 @@ class GenerateOptions:
         )
         limits: dict[str, Any] = {"rays": self.rays, "max_depth": self.max_depth}
         return replace(asked, **{name: limit for name, limit in limits.items() if limit is not None})
-
-
-@runtime_checkable
-class TakesOptions(Protocol[Taken, Made]):
-    """A function of what is traced, of an output, and of options by their names."""
-
-    def __call__(self, traced: Any, /, output: FilePath, *options: Taken.args, **named: Taken.kwargs) -> Made:
-        """What was generated."""
-        ...
-
-
-def taking(
-    options: Callable[Taken, GenerateOptions], needed: Collection[str] = (), without: Collection[str] = ()
-) -> Callable[[Callable[[Any, FilePath, GenerateOptions], Returned]], TakesOptions[Taken, Returned]]:
-    """A decorator: the function is called with the fields of its options in place of the object, as `checked` has it.
-
-    Those of `needed` have no default, and those of `without` cannot be given.
-    """
-
-    def decorated(function: Callable[[Any, FilePath, GenerateOptions], Returned]) -> TakesOptions[Taken, Returned]:
-        known = [each for each in inspect.signature(options).parameters.values() if each.name not in without]
-        known = [each.replace(default=each.empty) if each.name in needed else each for each in known]
-        # annotations are texts here; without their `Doc`s they are short enough for `help`
-        known = [each.replace(annotation=each.annotation[len("Annotated[") :].partition(", Doc(")[0]) for each in known]
-        own = [*inspect.signature(function).parameters.values()][:2]
-        signature, hints = inspect.Signature([*own, *known]), get_type_hints(GenerateOptions, include_extras=True)
-
-        @wraps(function)
-        def call(*arguments: Any, **named: Any) -> Returned:
-            given = signature.bind(*arguments, **named).arguments
-            traced, output = (given.pop(each.name) for each in own)
-            return function(traced, output, GenerateOptions(**given))
-
-        told = [f"    {each.name}: {hints[each.name].__metadata__[-1].documentation}" for each in known]
-        call.__doc__ = "\n".join([f"{function.__doc__}\n    Options, as the command says:\n", *told])
-        call.__signature__ = signature  # type: ignore[attr-defined]
-        call.__annotations__ = get_type_hints(function, include_extras=True) | hints
-        return checked(call)
-
-    return decorated

@@ -16,13 +16,13 @@ from pydantic import InstanceOf, TypeAdapter
 from xfreqbench.data.collection import FILE, Collection, Room, open_collection, room_of, write_collection
 from xfreqbench.data.dataset import open_dataset, verify
 from xfreqbench.data.generate import generate_planned
-from xfreqbench.data.options import GenerateOptions, taking
+from xfreqbench.data.options import GenerateOptions
 from xfreqbench.data.plan import Plan, plan_generation
 from xfreqbench.data.recipe import job_differences
 from xfreqbench.errors import ArgumentError, DataError, OutputExistsError
 from xfreqbench.scene.drawn_rooms import draw_room, room_name
 from xfreqbench.scene.families import Family, load_family
-from xfreqbench.system.arguments import FilePath
+from xfreqbench.system.arguments import FilePath, taking
 from xfreqbench.system.bars import announcing, progress_bars
 from xfreqbench.system.files import atomic_path, sole_writer, storage_errors
 from xfreqbench.system.processes import open_workers

@@ -43,7 +43,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -60,7 +60,7 @@ from xfreqbench.data.validation import (
     validation_tx,
 )
 from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
-from xfreqbench.system.arguments import CarriersGhz, checked
+from xfreqbench.system.arguments import ScoredOn, TargetsGhz, checked
 from xfreqbench.system.files import json_sha256
 from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import band_text, format_ghz, format_ghz_list, ghz_to_hz
@@ -76,8 +76,6 @@ BLOCK_MARGIN_M = 0.5
 
 Known = TypeVar("Known")
 Mask = Bool[NDArray[np.bool_], "N"]
-TargetsGhz = Literal["all"] | CarriersGhz | None
-ScoredOn = Literal["test", "validation"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -62,21 +62,22 @@ BUDGETS = {  # budgets with names: a benchmark ranks fits of one of them
 }
 
 
-def parse_budget(text: str | None) -> Budget:
+def parse_budget(given: str | Budget | None) -> Budget:
     """The budget that a text such as `300s`, `5m`, `2h`, `2000steps` or `64000maps` stands for; unlimited for None.
 
-    It may be the name of one of the `BUDGETS`. Raises `MethodError` for any other text.
+    It may be the name of one of the `BUDGETS`, or a budget. Raises `MethodError` for anything else.
     """
-    if text is None:
-        return Budget()
-    if text.strip() in BUDGETS:
-        return BUDGETS[text.strip()]
-    matched = re.fullmatch(r"(\d{1,15})\s*(steps|maps)|(\d{1,15}(?:\.\d{1,15})?)\s*([smh])", text.strip())
+    if given is None or isinstance(given, Budget):
+        return given or Budget()
+    text = str(given).strip()
+    if text in BUDGETS:
+        return BUDGETS[text]
+    matched = re.fullmatch(r"(\d{1,15})\s*(steps|maps)|(\d{1,15}(?:\.\d{1,15})?)\s*([smh])", text)
     number, unit = (group for group in matched.groups() if group) if matched else ("0", "")
     if float(number) == 0:
         raise MethodError(
             f"A budget is written as in 300s, 5m, 2h, 2000steps or 64000maps, or is one of {', '.join(BUDGETS)}, but "
-            f"{text!r} was given.{did_you_mean(text, BUDGETS)}"
+            f"{given!r} was given.{did_you_mean(text, BUDGETS)}"
         )
     if unit in ("steps", "maps"):
         return Budget(**{f"max_{unit}": int(number)})

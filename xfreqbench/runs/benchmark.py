@@ -114,8 +114,7 @@ class Benchmark:
             (setting.method, (*setting.overrides, *device_option(setting.method, self.device)))
             for setting in block.settings
         ]
-        path, budget = str(self.data_path(block.scene)), parse_budget(block.budget)
-        return tasks_of(path, data, methods, block.protocol, block.targets_ghz, block.seeds, budget)
+        return tasks_of(str(self.data_path(block.scene)), data, methods, block)
 
     def missing_benches(self) -> list[str]:
         """The measurements that have no record yet."""
@@ -296,10 +295,10 @@ def _splits(block: Block) -> Sequence[float]:
     return PAPER_CARRIERS_GHZ if block.targets_ghz == "all" else block.targets_ghz or LOFO_TARGETS_GHZ
 
 
-def _runs(block: Block) -> list[tuple[str, str, float, Setting, int, str | None]]:
+def _runs(block: Block) -> list[tuple[str, str, float, Setting, int, object]]:
     """Scene, protocol, split, setting, seed and budget of each run of a block; two blocks may have the same."""
-    every = product((block.scene,), (block.protocol,), _splits(block), block.settings, block.seeds, (block.budget,))
-    return list(every)
+    every = product(_splits(block), block.settings, block.seeds)
+    return [(block.scene, block.protocol, *run, block.budget) for run in every]
 
 
 def _data_line(benchmark: Benchmark, scene: str) -> str:

@@ -13,16 +13,17 @@ from typing import Any
 from xfreqbench.data.collection import Collection
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.fingerprint import require_fingerprint
-from xfreqbench.data.splits import ScoredOn, Split, TargetsGhz, left_out, make_splits
+from xfreqbench.data.splits import Split, left_out, make_splits
 from xfreqbench.data.unseen_rooms import RoomSplit, room_splits
 from xfreqbench.errors import MethodError
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.methods.config import as_json
-from xfreqbench.methods.contract import Budget, ReceiverMethod, RoomMethod
+from xfreqbench.methods.contract import ReceiverMethod, RoomMethod, parse_budget
 from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, code_sha256
 from xfreqbench.methods.rooms import build_room_method
 from xfreqbench.runs.folder import ResultsFolder
+from xfreqbench.runs.options import RunOptions
 from xfreqbench.runs.records import Job
 from xfreqbench.system.files import json_sha256
 
@@ -165,32 +166,26 @@ class Task:
 
 
 def tasks_of(
-    data: str,
-    opened: PasDataset | Collection,
-    methods: Sequence[tuple[str, tuple[str, ...]]],
-    protocol: str,
-    targets_ghz: TargetsGhz,
-    seeds: Sequence[int],
-    budget: Budget,
-    on: ScoredOn = "test",
+    data: str, opened: PasDataset | Collection, methods: Sequence[tuple[str, tuple[str, ...]]], options: RunOptions
 ) -> list[Task]:
     """One task for each method, seed and split, in that order of nesting; the splits are made once.
 
     `data` is the path of `opened` as the records name it. `methods` are names with `key=value` texts for their
-    options; `targets_ghz` and `on` are those of `make_splits`. Raises `UnknownNameError`, `ProtocolError` and
-    `MethodError`.
+    options; of `options`, protocol, targets, rows to score, seeds and budget are used. Raises `UnknownNameError`,
+    `ProtocolError` and `MethodError`.
     """
+    budget = parse_budget(options.budget)
     if isinstance(opened, Collection):
-        splits: Sequence[Split | RoomSplit] = room_splits(opened, protocol, on)
+        splits: Sequence[Split | RoomSplit] = room_splits(opened, options.protocol, options.on)
         link: tuple[str | None, ...] = ()
     else:
-        splits, link = make_splits(opened, protocol, targets_ghz, on), opened.link
+        splits, link = make_splits(opened, options.protocol, options.targets_ghz, options.on), opened.link
     tasks = list[Task]()
-    for name, options in methods:
+    for name, overrides in methods:
         alike = list[Task]()
-        for seed in seeds:
+        for seed in options.seeds:
             for split in splits:
-                job = Job(data, name, split.protocol, split.name, options, seed, budget, *link)
+                job = Job(data, name, split.protocol, split.name, overrides, seed, budget, *link)
                 alike.append(Task.of(job, opened, split))
                 alike[-1].__dict__["code_sha256"] = alike[0].code_sha256  # its files are read once
         tasks += alike

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from xfreqbench.data.splits import TargetsGhz
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
+from xfreqbench.runs.options import RunOptions
 
 
 @dataclass(frozen=True)
@@ -20,16 +20,12 @@ class Setting:
     overrides: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class Block:
-    """Runs of every setting on every split of a protocol with every seed; `targets_ghz` is what `--targets` gives."""
+@dataclass(frozen=True, kw_only=True)
+class Block(RunOptions):
+    """Runs of every setting on a scene, or on a family of rooms, on every split of a protocol with every seed."""
 
     scene: str
-    protocol: str
     settings: tuple[Setting, ...]
-    budget: str | None
-    seeds: tuple[int, ...] = (0,)
-    targets_ghz: TargetsGhz = None
 
 
 @dataclass(frozen=True)
@@ -63,13 +59,14 @@ def _presets(stored: dict[str, Any]) -> dict[str, Preset]:
         targets_ghz: Any = None,
         trivial_too: bool = False,
     ) -> Iterator[Block]:
-        targets_ghz = tuple(targets_ghz) if isinstance(targets_ghz, list) else targets_ghz
+        settings = tuple(_settings(methods, groups))
+        targets = tuple(targets_ghz) if isinstance(targets_ghz, list) else targets_ghz
         for scene in scenes:
             for protocol in protocols:
+                asked: dict[str, Any] = {"scene": scene, "protocol": protocol, "targets_ghz": targets}
                 if trivial_too:
-                    yield Block(scene, protocol, trivial, None, targets_ghz=targets_ghz)
-                settings = tuple(_settings(methods, groups))
-                yield Block(scene, protocol, settings, budget, tuple(range(seeds)), targets_ghz)
+                    yield Block(settings=trivial, budget=None, **asked)
+                yield Block(settings=settings, budget=budget, seeds=range(seeds), **asked)
 
     presets = {}
     for name, preset in stored.items():

@@ -15,15 +15,15 @@ from contextlib import suppress
 from functools import partial
 from math import nan
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
-from pydantic import BeforeValidator, InstanceOf
+from pydantic import InstanceOf
 
 from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.splits import HELD_OUT_RECEIVER, ScoredOn, TargetsGhz
+from xfreqbench.data.splits import HELD_OUT_RECEIVER
 from xfreqbench.data.unseen_rooms import ROOM_PROTOCOLS, RoomSplit
 from xfreqbench.errors import (
     ClusterError,
@@ -35,91 +35,57 @@ from xfreqbench.errors import (
     XFreqBenchError,
     was_interrupted,
 )
-from xfreqbench.methods.contract import Budget, parse_budget
 from xfreqbench.methods.fitting import Fit, Stopwatch, checked_findings, checked_maps, checked_num_parameters
 from xfreqbench.methods.registry import device_option, method_names, name_of, require_installed, room_method_names
 from xfreqbench.runs.estimate import estimate_runs
 from xfreqbench.runs.fit import FitProgress, fitted
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Question, Task, require_importable, require_runnable, tasks_of
+from xfreqbench.runs.options import MethodOptions, Methods, RunOptions
 from xfreqbench.runs.predictions import SCHEMA, MapBatch, fault_of_maps, require_no_others, write_predictions
 from xfreqbench.runs.progress import RunProgress, run_bars
 from xfreqbench.runs.records import Job, RunRecord
 from xfreqbench.runs.rooms import ROOM_SCHEMA, ROOM_SECONDS, RoomAnswer, answer_of, scored_in_rooms, write_answers
 from xfreqbench.runs.scoring import BATCH_SIZE, record_of, scored_on_split
 from xfreqbench.system import machine
-from xfreqbench.system.arguments import FilePath, Texts, WholeNumbers, Word, checked, listed
-from xfreqbench.system.bars import Shown, announcing
+from xfreqbench.system.arguments import FilePath, taking
+from xfreqbench.system.bars import announcing
 from xfreqbench.system.files import exclusive, storage_errors
 from xfreqbench.system.pieces import Pieces
 from xfreqbench.system.processes import SERIAL, open_workers, send_message
 from xfreqbench.system.workers import HERE, Workers, side_by_side
 
 _sent_s = 0.0
-Options = Texts | Mapping[str, Any]  # of a method: texts `key=value`, or values by key
-Methods = Annotated[Sequence[str | type], BeforeValidator(listed)] | Mapping[str | type, Options]
 
 
-@checked
+@taking(RunOptions)
 def run(
-    data: FilePath | InstanceOf[PasDataset] | InstanceOf[Collection],
-    methods: Methods,
-    protocol: str = "lofo",
-    results: FilePath = "results",
-    *,
-    targets_ghz: TargetsGhz = None,
-    on: ScoredOn = "test",
-    seeds: WholeNumbers = (0,),
-    budget: str | Budget | None = "quick",
-    device: Literal["cpu", "cuda"] = "cpu",
-    receiver: str | None = None,
-    polarization: str | None = None,
-    executor: Word = SERIAL,
-    progress: Shown = "auto",
+    data: FilePath | InstanceOf[PasDataset] | InstanceOf[Collection], methods: Methods, options: RunOptions
 ) -> list[RunRecord]:
     """Fit methods on a protocol's training rows, store and score their predictions; returns a record for each run.
 
     `data` is a whole data set or its path, and for protocol `unseen-rooms` a collection or its folder. `methods` is
     one name, several, or `all` for every installed method; a class stands for its name. As a mapping it gives each its
-    options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or as texts `["width=64"]`. `targets_ghz` are the
-    held-out carriers of `lofo` and `lofo-unseen-tx`, by default the paper's.
-    `on="validation"` is for choosing settings: the test rows are left alone, some of the training rows are scored and
-    the others trained on, under a protocol of their own such as `lofo-validation`; see `make_splits`.
-    `budget` ends every fit, as in `300s`, `5m`, `2000steps`, `64000maps` or `quick`; None leaves the end to the
-    method. `device` is where methods that have the choice compute. `executor` is `serial`, a number of processes, or
-    `dask://host:port`. `progress` draws bars on stderr, or prints a line for each run and every ten seconds where that
-    is no terminal, and first says what the runs will take where that may be more than ten minutes; `auto` does so on a
-    terminal and in a notebook alone.
+    options, as in `{"nearest": {}, "xfreq-gs": {"width": 64}}`, or as texts `["width=64"]`.
 
-    `receiver` and `polarization` choose what methods see of a file with several; without them it is what a given data
-    set shows, and the first of each in a path. Protocol `held-out-receiver` tests that receiver, and every one in turn
-    of a path where none is named.
+    `receiver` and `polarization` are by default those that a given data set shows. Protocol `held-out-receiver` tests
+    that receiver, and every one in turn of a path where none is named. With `budget=None` a method ends its fit
+    itself. See `make_splits` for `on="validation"`.
 
-    Records, predictions and fitted methods go to the folder `results`. What is finished there is not run again, and a
-    fit that was killed goes on from its last checkpoint. Mistakes are `XFreqBenchError`s, before the first fit where
-    that is possible. A run that fails stops no other: at the end `RunsFailedError` names those that failed. A single
-    run raises its own error.
+    What is finished in the folder of results is not run again, and a fit that was killed goes on from its last
+    checkpoint. Mistakes are `XFreqBenchError`s, before the first fit where that is possible. A run that fails stops no
+    other: at the end `RunsFailedError` names those that failed. A single run raises its own error.
     """
-    with announcing(progress) as is_shown:
-        tasks = asked_tasks(data, methods, protocol, targets_ghz, on, seeds, budget, device, receiver, polarization)
-        if executor != SERIAL:
+    with announcing(options.progress) as is_shown:
+        tasks = asked_tasks(data, methods, options)
+        if options.executor != SERIAL:
             require_importable(tasks)
-        return run_shown(tasks, Path(results), executor, is_shown)
+        return run_shown(tasks, Path(options.results), options.executor, is_shown)
 
 
-def asked_tasks(
-    data: str | Path | PasDataset | Collection,
-    methods: Methods,
-    protocol: str,
-    targets_ghz: TargetsGhz,
-    on: ScoredOn,
-    seeds: Sequence[int],
-    budget: str | Budget | None,
-    device: Literal["cpu", "cuda"],
-    receiver: str | None,
-    polarization: str | None,
-) -> list[Task]:
+def asked_tasks(data: str | Path | PasDataset | Collection, methods: Methods, options: RunOptions) -> list[Task]:
     """The tasks of a call of `run`; raises what is wrong with its arguments."""
+    protocol, receiver, polarization = options.protocol, options.receiver, options.polarization
     if isinstance(data, PasDataset):
         num_samples = data.header.num_tx * data.header.num_carriers
         if len(data) != num_samples:
@@ -134,19 +100,17 @@ def asked_tasks(
     if list(methods) == ["all"]:  # those that learn across rooms run on the protocols of rooms alone
         installed = method_names() + (room_method_names() if protocol in ROOM_PROTOCOLS else [])
         methods = dict.fromkeys(installed, methods["all"])
-    options_by_name = {name_of(method): _texts(options) for method, options in methods.items()}
-    limit = budget if isinstance(budget, Budget) else parse_budget(budget)
-    for name in options_by_name:  # before any of them is imported, which takes seconds
+    texts = {name_of(method): _texts(chosen) for method, chosen in methods.items()}
+    for name in texts:  # before any of them is imported, which takes seconds
         require_installed(name)
-    named = [(name, (*options, *device_option(name, device))) for name, options in options_by_name.items()]
-    asked = named, protocol, targets_ghz, seeds, limit, on
+    named = [(name, (*chosen, *device_option(name, options.device))) for name, chosen in texts.items()]
     if protocol in ROOM_PROTOCOLS:
-        chosen = {"target carrier": targets_ghz, "receiver": receiver, "polarization": polarization}
-        for what, value in chosen.items():
+        unknown = {"target carrier": options.targets_ghz, "receiver": receiver, "polarization": polarization}
+        for what, value in unknown.items():
             if value is not None:
                 raise ProtocolError(f"Protocol {protocol!r} has no {what} to choose, but got {value!r}. Leave it out.")
         rooms = data if isinstance(data, Collection) else open_collection(data)
-        return tasks_of(str(rooms.path), rooms, *asked)
+        return tasks_of(str(rooms.path), rooms, named, options)
     if isinstance(data, Collection):
         raise XFreqBenchError(
             f"Protocol {protocol!r} splits one data set; a collection takes {', '.join(ROOM_PROTOCOLS)}."
@@ -155,7 +119,7 @@ def asked_tasks(
     tested = [dataset]
     if protocol == HELD_OUT_RECEIVER and receiver is None and dataset.file_header.receivers:
         tested = [dataset.at(name) for name in dataset.file_header.receivers]
-    return [task for part in tested for task in tasks_of(str(data), part, *asked)]
+    return [task for part in tested for task in tasks_of(str(data), part, named, options)]
 
 
 def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:
@@ -193,7 +157,7 @@ def imports_of(tasks: Iterable[Task]) -> list[str]:
     return [__name__, *sorted({type(task.method).__module__ for task in tasks})]
 
 
-def _texts(options: Options) -> tuple[str, ...]:
+def _texts(options: MethodOptions) -> tuple[str, ...]:
     """Options as texts `key=value`, each value as JSON has it unless it is a text already."""
     if not isinstance(options, Mapping):
         return tuple(options)

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import inspect
 import reprlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from difflib import get_close_matches
 from functools import cache, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, ParamSpec, Protocol, TypeVar, cast, get_type_hints, overload
 
 from pydantic import (
     AfterValidator,
@@ -23,6 +23,7 @@ from pydantic import (
     model_serializer,
     validate_call,
 )
+from typing_extensions import Doc
 
 from xfreqbench.errors import ArgumentError
 from xfreqbench.units import ghz_to_hz
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 Taken = ParamSpec("Taken")
 Returned = TypeVar("Returned")
+Made = TypeVar("Made", covariant=True)
 
 
 def checked(function: Callable[Taken, Returned]) -> Callable[Taken, Returned]:
@@ -60,6 +62,49 @@ def checked(function: Callable[Taken, Returned]) -> Callable[Taken, Returned]:
         return function(*arguments, **named)
 
     return call
+
+
+class TakesOptions(Protocol[Taken, Made]):
+    """`generate`, `generate_rooms` or `run`: a function of two arguments, and of options by their names."""
+
+    @overload
+    def __call__(self, traced: Any, /, output: FilePath, *options: Taken.args, **named: Taken.kwargs) -> Made: ...
+
+    @overload
+    def __call__(self, data: Any, /, methods: Any, *options: Taken.args, **named: Taken.kwargs) -> Made: ...
+
+
+def taking(
+    options: Callable[Taken, Any], needed: Collection[str] = (), without: Collection[str] = ()
+) -> Callable[[Callable[[Any, Any, Any], Returned]], TakesOptions[Taken, Returned]]:
+    """A decorator: the function is called with the fields of its options in place of the object, as `checked` has it.
+
+    The options, a dataclass whose fields have a `Doc`, are its last argument. Those of `needed` have no default, and
+    those of `without` cannot be given.
+    """
+
+    def decorated(function: Any) -> Any:
+        known = [each for each in inspect.signature(options).parameters.values() if each.name not in without]
+        known = [each.replace(default=each.empty) if each.name in needed else each for each in known]
+        # annotations are texts here; without their `Doc`s they are short enough for `help`
+        texts = [each.annotation.removeprefix("Annotated[").partition(", Doc(")[0] for each in known]
+        known = [each.replace(annotation=text) for each, text in zip(known, texts, strict=True)]
+        *own, _ = inspect.signature(function).parameters.values()
+        signature = inspect.signature(function).replace(parameters=[*own, *known])
+        hints = get_type_hints(options, include_extras=True)
+
+        @wraps(function)
+        def call(*arguments: Any, **named: Any) -> Any:
+            given = signature.bind(*arguments, **named).arguments
+            return function(*(given.pop(each.name) for each in own), cast("Any", options)(**given))
+
+        told = [f"    {each.name}: {hints[each.name].__metadata__[-1].documentation}" for each in known]
+        call.__doc__ = "\n".join([f"{function.__doc__}\n    Options, as the command says:\n", *told])
+        call.__signature__ = signature  # type: ignore[attr-defined]
+        call.__annotations__ = get_type_hints(function, include_extras=True) | hints
+        return checked(call)
+
+    return decorated
 
 
 @model_serializer(mode="wrap")
@@ -125,6 +170,14 @@ FilePath = Annotated[str | Path, PlainValidator(_path)]
 CarriersGhz = Annotated[
     Sequence[Annotated[float, AfterValidator(_carrier_ghz)]], BeforeValidator(listed), Field(min_length=1)
 ]  # one carrier is a list of one
+TargetsGhz = Literal["all"] | CarriersGhz | None
+ScoredOn = Annotated[
+    Literal["test", "validation"],
+    Doc(
+        "test: the protocol's test rows; validation: some of its training rows, to choose settings by. "
+        "They stand on a board of their own."
+    ),
+]
 WholeNumbers = Annotated[
     Sequence[Annotated[int, Field(ge=0, lt=2**63)]], BeforeValidator(listed), Field(min_length=1)
 ]  # seeds: one number is a list of one

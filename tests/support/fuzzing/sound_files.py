@@ -23,11 +23,11 @@ from tests.support.fuzzing.scenes import ASCII_PLY, REFERRING_SCENE, SMALL_SCENE
 from xfreqbench.data.collection import room_of, write_collection
 from xfreqbench.data.dataset import open_dataset
 from xfreqbench.data.options import GenerateOptions
-from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.fitting import Fit
 from xfreqbench.runs import benchmark, checkpoints
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import tasks_of
+from xfreqbench.runs.options import RunOptions
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 from xfreqbench.runs.records import Job
 from xfreqbench.runs.run import run_jobs
@@ -37,7 +37,8 @@ DATA, RECORDS, SPLIT = "data/room.toml.h5", "results/records.jsonl", "lofo-10GHz
 MAPS, FINGERPRINT = "results/records_maps.jsonl", "room_fingerprint.npz"
 FITTED = ("num_gaussians=4", "width=4", "layers=2")
 METHODS = (Setting("nearest"), Setting("aperture-gs", FITTED))
-PRESET = Preset("a small one", (Block("room.toml", "lofo", METHODS, "3steps", (0,), (10.0,)),), "the rest")
+BLOCK = Block(scene="room.toml", settings=METHODS, budget="3steps", targets_ghz=(10.0,))
+PRESET = Preset("a small one", (BLOCK,), "the rest")
 _SLAB = {"share": 1.0, "permittivity": 5.0, "conductivity_s_m": 0.03, "conductivity_power": 0.8, "thickness_m": 0.2}
 ROOM = {
     **SMALL_SCENE,
@@ -125,8 +126,8 @@ def _kill_a_fit() -> None:
         if fit.step == 2:
             raise KeyboardInterrupt
 
-    methods, budget = [("aperture-gs", FITTED)], parse_budget("3steps")
-    tasks = tasks_of(DATA, open_dataset(DATA), methods, "lofo", [10.0], [0], budget)
+    asked = RunOptions("lofo", targets_ghz=[10.0], budget="3steps")
+    tasks = tasks_of(DATA, open_dataset(DATA), [("aperture-gs", FITTED)], asked)
     with mock.patch.object(checkpoints, "CHECKPOINT_SECONDS", 0.0), contextlib.suppress(KeyboardInterrupt):
         run_jobs(tasks, Path("results"), fitting=kill)
 
