@@ -287,7 +287,7 @@ def test_a_run_says_which_link_of_several_methods_see(joint: PasDataset, tmp_pat
     assert "methods see polarization VV of VV, VH, HV, HH; option polarization chooses another" in done.message
     held_out = asked_tasks(joint.path, ["nearest"], RunOptions("held-out-receiver", polarization="VH"))
     crossed = ["methods see polarization VH of VV, VH, HV, HH; option polarization chooses another"]
-    assert [task.notes for task in held_out] == [crossed, crossed]
+    assert [task.split.notes(task.data) for task in held_out] == [crossed, crossed]
 
 
 def test_a_run_of_sparse_says_which_splits_the_data_do_not_serve(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from tests.support.rooms import tiny_rooms, write_room
 from xfreqbench.data.collection import Collection, room_of, write_collection
 from xfreqbench.data.dataset import open_dataset
-from xfreqbench.data.unseen_rooms import NUMS_HEARD, RoomQuestion, room_splits
+from xfreqbench.data.unseen_rooms import NUMS_HEARD, room_question, room_splits
 from xfreqbench.errors import DataError, ProtocolError, UnknownNameError
 
 
@@ -21,7 +21,7 @@ def rooms(tmp_path_factory: pytest.TempPathFactory) -> Collection:
 
 
 def test_a_method_hears_more_of_the_same_and_is_always_asked_for_other_transmitters(rooms: Collection) -> None:
-    questions = {number: RoomQuestion(rooms[2], 5, number) for number in NUMS_HEARD}
+    questions = {number: room_question(rooms[2], 5, number) for number in NUMS_HEARD}
     heard = {number: {*map(tuple, question.heard.tx_position_m)} for number, question in questions.items()}
     assert [len(heard[number]) for number in NUMS_HEARD] == list(NUMS_HEARD)
     assert heard[0] < heard[4] < heard[16] < heard[64]
@@ -41,7 +41,7 @@ def test_what_is_heard_has_the_true_maps_and_nothing_else_of_the_room(
     if are_stored:
         write_room(tmp_path / "room.h5", rooms.rooms[2].seed, maps=True)
         room = open_dataset(tmp_path / "room.h5")
-    heard = RoomQuestion(room, 5, 4).heard
+    heard = room_question(room, 5, 4).heard
     for nth in range(len(heard)):
         same_tx = (room.tx_position_m == heard.tx_position_m[nth]).all(axis=1)
         (row,) = np.flatnonzero(same_tx & (room.carrier_hz == heard.carrier_hz[nth]))
@@ -54,7 +54,7 @@ def test_what_is_heard_has_the_true_maps_and_nothing_else_of_the_room(
 
 
 def test_a_plan_that_is_told_says_where_walls_are_but_not_of_what(rooms: Collection) -> None:
-    told = RoomQuestion(rooms[2], 5, 0, plan_told=True).heard
+    told = room_question(rooms[2], 5, 0, plan_told=True).heard
     (wall,), (true,) = told.scene.surface, rooms[2].scene.surface
     assert (wall.min_m, wall.max_m) == (true.min_m, true.max_m)
     assert (wall.name, wall.material, wall.thickness_m) == ("surface 0", "concrete", 0.2)
@@ -65,7 +65,7 @@ def test_splits_are_those_of_test_rooms_then_of_other_types_or_of_validation_roo
     names = [f"{part}heard-{number}" for part in ("", "other-type-") for number in NUMS_HEARD]
     assert [split.name for split in room_splits(rooms, "unseen-rooms")] == names
     (first, *_) = room_splits(rooms, "unseen-rooms-plan", "validation")
-    assert (first.protocol, len(first.rooms)) == ("unseen-rooms-plan-validation", 1)
+    assert (first.protocol, len(rooms.part(first.part))) == ("unseen-rooms-plan-validation", 1)
     assert len({split.sha256 for split in room_splits(rooms, "unseen-rooms")}) == 8
     with pytest.raises(ProtocolError, match="needs rooms of part 'train'"):
         room_splits(rooms.part("test"), "unseen-rooms")
@@ -87,4 +87,4 @@ def test_a_room_of_nearly_the_same_plan_is_refused_whatever_its_walls_are_made_o
 def test_a_room_of_too_few_transmitters_is_refused(rooms: Collection) -> None:
     few = replace(rooms[0], tables={name: table[:20] for name, table in rooms[0].tables.items()})
     with pytest.raises(ProtocolError, match="Generate rooms of 80 transmitters or more"):
-        _ = RoomQuestion(few, 0, 16).heard
+        _ = room_question(few, 0, 16).heard

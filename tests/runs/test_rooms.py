@@ -71,7 +71,7 @@ def test_room_lags_finds_in_seconds_that_walls_mirror(results: Path) -> None:
 @pytest.mark.slow
 def test_stored_sums_over_lags_are_scored_as_the_maps_that_were_predicted(results: Path, rooms: Collection) -> None:
     record = next(stored for stored in ResultsFolder(results).records if stored.job.method == "line-of-sight")
-    question = next(room_splits(rooms, "unseen-rooms")[0].questions())
+    question = next(room_splits(rooms, "unseen-rooms")[0].questions(rooms))
     asked, method = question.asked, LineOfSight()
     fit_within(method, question.heard, Budget(), 0)
     maps = method.predict(asked.tx_position_m, asked.carrier_hz)

@@ -40,7 +40,7 @@ rows and test on those. Their protocol is called `lofo-validation`, and so on.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
@@ -76,6 +76,18 @@ BLOCK_MARGIN_M = 0.5
 
 Known = TypeVar("Known")
 Mask = Bool[NDArray[np.bool_], "N"]
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What a fitted method is asked: the maps of the samples `asked`, given the samples `heard` of the same room.
+
+    `heard` is None where the method was fitted to that room. `place` says in errors where it is.
+    """
+
+    asked: PasDataset
+    heard: PasDataset | None
+    place: str
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -154,6 +166,22 @@ class Split:
         train = isolated(dataset[self.train])
         others = (dataset.at(name) for name, _ in self.receivers)
         return replace(train, other_receivers=tuple(isolated(other[other.has_path]) for other in others))
+
+    def questions(self, dataset: PasDataset) -> Iterator[Question]:
+        """What a method is asked for, of the data set that the split was made of: the maps of all tested samples."""
+        yield Question(dataset[self.test], None, f"on split {self.name!r}")
+
+    def notes(self, dataset: PasDataset) -> list[str]:
+        """What a user may not expect: one link of many, absent splits, tested carriers outside of the training band."""
+        known = dataset.file_header
+        names = (() if self.receivers else known.receivers), known.polarizations
+        links = [
+            f"methods see {axis} {shown} of {', '.join(names)}; option {axis} chooses another"
+            for axis, shown, names in zip(("receiver", "polarization"), dataset.link, names, strict=True)
+            if names
+        ]
+        absent = left_out(dataset) if self.protocol.startswith("sparse") else None
+        return [*links, *filter(None, (absent, self.extrapolation(dataset)))]
 
 
 def _require_directions(dataset: PasDataset) -> None:

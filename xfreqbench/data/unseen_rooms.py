@@ -18,8 +18,9 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Int
@@ -27,6 +28,7 @@ from scipy.spatial import KDTree
 
 from xfreqbench.data.collection import Collection, Part, Room
 from xfreqbench.data.dataset import PasDataset, isolated
+from xfreqbench.data.splits import Question
 from xfreqbench.errors import ProtocolError, UnknownNameError
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.system.files import json_sha256
@@ -48,106 +50,96 @@ _SAME_PLAN_M = 5e-3
 class RoomSplit:
     """Rooms of one part of a collection, in each of which a number of transmitters is heard.
 
-    `plan_told` is that of protocol `unseen-rooms-plan`.
+    `name` has part and number, as in `heard-16` and `other-type-heard-16`; `plan_told` is that of protocol
+    `unseen-rooms-plan`. `sha256` is the hash of the protocol, its version, the rooms that are trained on, and those
+    that are tested.
     """
 
-    collection: Collection
+    name: str
+    protocol: str
+    version: str
+    sha256: str
     part: Part
     num_heard: int
-    plan_told: bool = False
+    plan_told: bool
 
-    @property
-    def protocol(self) -> str:
-        """The name of the protocol, as records have it."""
-        name = UNSEEN_ROOMS_PLAN if self.plan_told else UNSEEN_ROOMS
-        return f"{name}-validation" if self.part == "validation" else name
+    @classmethod
+    def of(cls, rooms: Collection, part: Part, num_heard: int, plan_told: bool) -> RoomSplit:
+        """The split of a collection, of which some rooms are of that part."""
+        name = ("other-type-" if part == "other-type" else "") + f"heard-{num_heard}"
+        protocol = UNSEEN_ROOMS_PLAN if plan_told else UNSEEN_ROOMS
+        protocol = f"{protocol}-validation" if part == "validation" else protocol
+        hashes = [[room.sha256 for room in rooms.part(each).rooms] for each in ("train", part)]
+        sha256 = json_sha256([protocol, ROOM_PROTOCOL_VERSION, name, *hashes])
+        return cls(name, protocol, ROOM_PROTOCOL_VERSION, sha256, part, num_heard, plan_told)
 
-    @property
-    def name(self) -> str:
-        """Part and number of transmitters heard, as in `heard-16` and `other-type-heard-16`."""
-        return ("other-type-" if self.part == "other-type" else "") + f"heard-{self.num_heard}"
+    def training_part(self, rooms: Collection) -> Collection:
+        """The rooms that a method is fitted to, of the collection that was split, as copies that it may change."""
+        return deepcopy(rooms.part("train"))
 
-    @cached_property
-    def rooms(self) -> Collection:
-        """The rooms that are tested."""
-        return self.collection.part(self.part)
+    def questions(self, rooms: Collection) -> Iterator[Question]:
+        """What is heard and what is asked in each tested room, in turn."""
+        tested = rooms.part(self.part)
+        for room, dataset in zip(tested.rooms, tested, strict=True):
+            yield room_question(dataset, room.seed, self.num_heard, self.plan_told)
 
-    @cached_property
-    def sha256(self) -> str:
-        """Hash of the protocol, its version, the rooms that are trained on, and those that are tested."""
-        told = [self.protocol, ROOM_PROTOCOL_VERSION, self.name]
-        rooms = [[room.sha256 for room in part.rooms] for part in (self.collection.part("train"), self.rooms)]
-        return json_sha256([*told, *rooms])
-
-    def questions(self) -> Iterator[RoomQuestion]:
-        """What is heard and what is asked in each room, in turn."""
-        for room, dataset in zip(self.rooms.rooms, self.rooms, strict=True):
-            yield RoomQuestion(dataset, room.seed, self.num_heard, self.plan_told)
+    def notes(self, rooms: Collection) -> list[str]:
+        """What a user may not expect: nothing."""
+        return []
 
 
-@dataclass(frozen=True, eq=False)
-class RoomQuestion:
-    """What a method hears of one room, and what it is asked for. `seed` is that of the room, and draws transmitters."""
+def room_question(room: PasDataset, seed: int, num_heard: int, plan_told: bool = False) -> Question:
+    """What a method hears of one room, and what it is asked for; `seed` is that of the room, and draws transmitters.
 
-    room: PasDataset
-    seed: int
-    num_heard: int
-    plan_told: bool = False
-
-    @cached_property
-    def _drawn(self) -> tuple[Int[IntArray, "K"], Int[IntArray, "16"]]:
-        """The transmitters that are heard and those that are asked for, of the ones that a path reaches everywhere."""
-        has_path = (self.room.tables["peak_power"] > 0).all(axis=1)
-        order = np.random.default_rng([_SEED, self.seed]).permutation(np.flatnonzero(has_path))
-        if len(order) < NUM_ASKED + self.num_heard:
-            raise ProtocolError(
-                f"Protocol {UNSEEN_ROOMS!r} hears {self.num_heard} transmitters of a room and asks for {NUM_ASKED} "
-                f"others, but in {self.room.path} a path of every carrier reaches {len(order)}. Generate rooms of "
-                f"{NUM_ASKED + max(NUMS_HEARD)} transmitters or more."
-            )
-        return order[NUM_ASKED : NUM_ASKED + self.num_heard], order[:NUM_ASKED]
-
-    def _rows(self, tx: Int[IntArray, "T"], carriers_ghz: tuple[float, ...]) -> Int[IntArray, "n"]:
-        carriers_hz = [ghz_to_hz(carrier) for carrier in carriers_ghz]
-        present_hz = self.room.header.carrier_hz
-        missing = [carrier for carrier in carriers_hz if carrier not in present_hz]
-        if missing:
-            raise ProtocolError(
-                f"Protocol {UNSEEN_ROOMS!r} needs {format_ghz_list(missing)}, but the rooms have "
-                f"{format_ghz_list(present_hz)}. Generate those carriers too."
-            )
-        columns = np.searchsorted(present_hz, np.sort(carriers_hz))
-        return (np.sort(tx)[:, None] * len(present_hz) + columns).ravel()
-
-    @cached_property
-    def asked(self) -> PasDataset:
-        """The samples that are asked for, with their true maps: sixteen transmitters at six carriers."""
-        return self.room[self._rows(self._drawn[1], (*HEARD_GHZ, *ASKED_GHZ))]
-
-    @cached_property
-    def heard(self) -> PasDataset:
-        """What a method is given: K transmitters at three carriers, the array, and the plan where it is told.
-
-        Nothing of other transmitters is in it, and where the plan is not told, no scene.
-        """
-        tx = np.sort(self._drawn[0])
-        rows = self._rows(tx, HEARD_GHZ)
-        given = isolated(self.room[rows])
-        tables = {name: table[tx] for name, table in given.tables.items()}
-        num_carriers = self.room.header.num_carriers
-        kept = np.searchsorted(tx, rows // num_carriers) * num_carriers + rows % num_carriers
-        plan = _plan(self.room) if self.plan_told else None
-        header = replace(
-            given.header,
-            scene_name="room",
-            scene_json=plan.canonical_json if plan else "{}",
-            scene_sha256="0" * 64,
-            settings=dict(self.room.header.settings) if plan else {},
-            rejected={},
-            num_tx=max(1, len(tx)),
-            maps=False,  # rows are no longer those of the file
+    It hears `num_heard` transmitters at three carriers, and is asked for sixteen others at six. Nothing else of other
+    transmitters is told, and where the plan is not told, no scene.
+    """
+    has_path = (room.tables["peak_power"] > 0).all(axis=1)
+    order = np.random.default_rng([_SEED, seed]).permutation(np.flatnonzero(has_path))
+    if len(order) < NUM_ASKED + num_heard:
+        raise ProtocolError(
+            f"Protocol {UNSEEN_ROOMS!r} hears {num_heard} transmitters of a room and asks for {NUM_ASKED} others, but "
+            f"in {room.path} a path of every carrier reaches {len(order)}. Generate rooms of "
+            f"{NUM_ASKED + max(NUMS_HEARD)} transmitters or more."
         )
-        return replace(given, header=header, file_header=header, tables=tables, rows=kept)
+    tx = np.sort(order[NUM_ASKED : NUM_ASKED + num_heard])
+    rows = _rows(room, tx, HEARD_GHZ)
+    given = isolated(room[rows])
+    num_carriers = room.header.num_carriers
+    plan = _plan(room) if plan_told else None
+    header = replace(
+        given.header,
+        scene_name="room",
+        scene_json=plan.canonical_json if plan else "{}",
+        scene_sha256="0" * 64,
+        settings=dict(room.header.settings) if plan else {},
+        rejected={},
+        num_tx=max(1, len(tx)),
+        maps=False,  # rows are no longer those of the file
+    )
+    heard = replace(
+        given,
+        header=header,
+        file_header=header,
+        tables={name: table[tx] for name, table in given.tables.items()},
+        rows=np.searchsorted(tx, rows // num_carriers) * num_carriers + rows % num_carriers,
+    )
+    asked = room[_rows(room, np.sort(order[:NUM_ASKED]), (*HEARD_GHZ, *ASKED_GHZ))]
+    return Question(asked, heard, f"in room {room.path.name}")
+
+
+def _rows(room: PasDataset, tx: Int[IntArray, "T"], carriers_ghz: tuple[float, ...]) -> Int[IntArray, "n"]:
+    """The rows of ascending transmitters of a room at some carriers; raises `ProtocolError` where it lacks some."""
+    carriers_hz = [ghz_to_hz(carrier) for carrier in carriers_ghz]
+    present_hz = room.header.carrier_hz
+    missing = [carrier for carrier in carriers_hz if carrier not in present_hz]
+    if missing:
+        raise ProtocolError(
+            f"Protocol {UNSEEN_ROOMS!r} needs {format_ghz_list(missing)}, but the rooms have "
+            f"{format_ghz_list(present_hz)}. Generate those carriers too."
+        )
+    columns = np.searchsorted(present_hz, np.sort(carriers_hz))
+    return (tx[:, None] * len(present_hz) + columns).ravel()
 
 
 def room_splits(collection: Collection, protocol: str, on: str = "test") -> list[RoomSplit]:
@@ -167,8 +159,8 @@ def room_splits(collection: Collection, protocol: str, on: str = "test") -> list
                 f"{collection.path} none is. Generate more rooms: about one in ten is of each part but the training."
             )
     plan_told = protocol == UNSEEN_ROOMS_PLAN
-    splits = [RoomSplit(collection, part, num, plan_told) for part in parts for num in NUMS_HEARD]
-    return [split for split in splits if len(split.rooms)]
+    tested = [part for part in parts if len(collection.part(part))]
+    return [RoomSplit.of(collection, part, num, plan_told) for part in tested for num in NUMS_HEARD]
 
 
 @lru_cache(maxsize=1)

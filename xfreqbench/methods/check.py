@@ -18,7 +18,8 @@ from jaxtyping import Float, Int
 from xfreqbench.data.collection import Collection, room_of, write_collection
 from xfreqbench.data.dataset import PasDataset, isolated
 from xfreqbench.data.plane_waves import RECEIVER, plane_waves, stored_channels
-from xfreqbench.data.unseen_rooms import ASKED_GHZ, HEARD_GHZ, NUM_ASKED, RoomQuestion
+from xfreqbench.data.splits import Question
+from xfreqbench.data.unseen_rooms import ASKED_GHZ, HEARD_GHZ, NUM_ASKED, room_question
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
 from xfreqbench.methods.config import as_json
 from xfreqbench.methods.contract import Budget, Progress, RoomMethod, RoomPredictor
@@ -480,8 +481,8 @@ class _RoomTrial(_Trial):
             folder, rooms, name="plane waves", family={}, options={}, carrier_hz=carrier_hz.tolist()
         )
 
-    def question(self, num_heard: int = _HEARD, room: int = _ROOM_SEEDS[-1]) -> RoomQuestion:
-        return RoomQuestion(self.rooms[room], room, num_heard)
+    def question(self, num_heard: int = _HEARD, room: int = _ROOM_SEEDS[-1]) -> Question:
+        return room_question(self.rooms[room], room, num_heard)
 
     @cached_property
     def fitted(self) -> Any:
@@ -490,7 +491,7 @@ class _RoomTrial(_Trial):
     def fitted_to_rooms(self, observe: Callable[[Any, Any], None] | None = None) -> Any:
         return self.fit_to(self.rooms[list(_ROOM_SEEDS[:-1])], observe)
 
-    def maps_of(self, method: RoomMethod, num_heard: int = _HEARD) -> Float[NDArray[np.float32], "B E A"]:
+    def maps_of(self, method: Any, num_heard: int = _HEARD) -> Float[NDArray[np.float32], "B E A"]:
         """What the method predicts of the room that it was not trained on."""
         question = self.question(num_heard)
         with chdir(self.working_folder):

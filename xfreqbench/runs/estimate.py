@@ -67,9 +67,8 @@ def estimate_runs(tasks: Sequence[Task], results_dir: Path, executor: str = SERI
     left = [task for task in tasks if folder.finished(task.id) is None]
     across, num_fits = set[str](), []
     for task in left:
-        rooms = task.split.rooms if isinstance(task.split, RoomSplit) else None
-        if rooms is None or isinstance(task.method, PerRoom):  # which is fitted in each room
-            num_fits.append(len(rooms) if rooms is not None else 1)
+        if isinstance(task.split, RoomSplit) and isinstance(task.method, PerRoom):  # which is fitted in each room
+            num_fits.append(len(task.data.part(task.split.part)))
         else:
             num_fits.append(0 if task.fit_id in across else 1)
             across.add(task.fit_id)

@@ -64,7 +64,7 @@ class _TaskFit:
 
     def __init__(self, task: Task, saved: CheckpointFolder, fitting: FitProgress | None) -> None:
         self._task, self._saved, self._fitting = task, saved, fitting
-        self._train = task.training_part()
+        self._train = task.split.training_part(task.data)
         earlier = saved.read()
         self._spent = earlier.fit if earlier else None
         self._saved_s = earlier.seconds if earlier else 0.0
@@ -121,7 +121,7 @@ class _TaskFit:
 
     def _sampled_ssim(self) -> Float[FloatArray, "n"]:
         """SSIM of what the method now predicts for a sample of the test rows, the same sample for every method."""
-        (question,) = self._task.questions()
+        (question,) = self._task.split.questions(self._task.data)
         test = question.asked
         sampled = curve_positions(self._task.split.sha256, len(test))
         scores = []

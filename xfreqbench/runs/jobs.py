@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 from xfreqbench.data.collection import Collection
 from xfreqbench.data.dataset import PasDataset, open_dataset, verify
 from xfreqbench.data.fingerprint import require_fingerprint
-from xfreqbench.data.splits import Split, left_out, make_splits
+from xfreqbench.data.splits import Split, make_splits
 from xfreqbench.data.unseen_rooms import RoomSplit, room_splits
 from xfreqbench.errors import MethodError
 from xfreqbench.maps.metrics import METRICS_VERSION
@@ -28,44 +27,31 @@ from xfreqbench.runs.records import Job
 from xfreqbench.system.files import json_sha256
 
 
-@dataclass(frozen=True)
-class Question:
-    """What a fitted method is asked: the maps of the samples `asked`, given the samples `heard` of the same room.
-
-    `heard` is None where the method was fitted to that room. `place` says in errors where it is.
-    """
-
-    asked: PasDataset
-    heard: PasDataset | None
-    place: str
-
-
 @dataclass(frozen=True, eq=False)
 class Task:
     """A job with its split, its data, and its method, which stays untrained; see `new_method`.
 
-    It is pickled without data set and method; where it arrives, they are opened and built when they are asked for.
+    `rooms` is None where the split is one of a data set. A task is pickled without data set and method; where it
+    arrives, they are opened and built when they are asked for.
     """
 
     job: Job
     split: Split | RoomSplit
     path: Path
+    rooms: Collection | None = None
 
     @classmethod
     def of(cls, job: Job, opened: PasDataset | Collection, split: Split | RoomSplit) -> Task:
         """The task of a job on opened data; raises what `build_method` raises, and `MethodError`."""
-        task = cls(job, split, opened.path)
-        _ = task.method  # or what is wrong with it
-        if isinstance(split, RoomSplit):
-            return task
-        task.__dict__["dataset"] = opened
-        if isinstance(task.method, RoomMethod):
+        task = cls(job, split, opened.path, opened if isinstance(opened, Collection) else None)
+        task.__dict__["data"] = opened
+        if task.rooms is None and isinstance(task.method, RoomMethod):
             raise MethodError(
                 f"Method {job.method!r} learns across rooms, and has no `predict` of its own. Run it on a collection "
                 "of rooms, with --protocol unseen-rooms."
             )
         takes_others = isinstance(task.method, ReceiverMethod) and task.method.takes_other_receivers
-        if split.receivers and not takes_others:
+        if isinstance(split, Split) and split.receivers and not takes_others:
             raise MethodError(
                 f"Method {job.method!r} can only predict the receiver that it was trained at, but protocol "
                 f"{split.protocol!r} tests another. Run methods that set takes_other_receivers, as line-of-sight "
@@ -74,12 +60,12 @@ class Task:
         return task
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Task, (self.job, self.split, self.path)
+        return Task, (self.job, self.split, self.path, self.rooms)
 
     @cached_property
-    def dataset(self) -> PasDataset:
-        """The data set, where the split is one of a data set; raises `DataError`."""
-        return open_dataset(self.path, self.job.receiver, self.job.polarization)
+    def data(self) -> Any:
+        """What was split, a `PasDataset` or a `Collection`; raises `DataError`."""
+        return self.rooms or open_dataset(self.path, self.job.receiver, self.job.polarization)
 
     @cached_property
     def method(self) -> Any:
@@ -99,62 +85,29 @@ class Task:
     @cached_property
     def id(self) -> str:
         """Hash of everything that determines the result, 16 hexadecimal digits: the id of the record."""
-        if isinstance(self.split, RoomSplit):
-            return self._hash(self.split.sha256, METRICS_VERSION)
-        method = self.job.method, self.code_sha256, self.config
-        split = self.job.protocol, self.split.sha256
-        content = [self.dataset.sha256, *method, *split, self.job.seed, asdict(self.job.budget), METRICS_VERSION]
-        return json_sha256(content)[:16]
+        if self.rooms is not None:
+            return self._hash(more=[self.split.sha256, METRICS_VERSION])
+        return self._hash([self.data.sha256], [self.job.protocol, self.split.sha256], [METRICS_VERSION])
 
     @cached_property
     def fit_id(self) -> str:
         """The same for the fit: `id`, but for rooms, where several jobs share one."""
-        if isinstance(self.split, RoomSplit):
-            return self._hash("fit", *(room.sha256 for room in self.split.collection.part("train").rooms))
+        if self.rooms is not None:
+            return self._hash(more=["fit", *(room.sha256 for room in self.rooms.part("train").rooms)])
         return self.id
 
-    def _hash(self, *more: str) -> str:
-        content = [self.job.method, self.code_sha256, self.config, self.job.seed, asdict(self.job.budget), *more]
-        return json_sha256(content)[:16]
-
-    @property
-    def notes(self) -> list[str]:
-        """What a user may not expect: tested carriers outside of the training band, absent splits, one link of many."""
-        if isinstance(self.split, RoomSplit):
-            return []
-        known = self.dataset.file_header
-        names = (() if self.split.receivers else known.receivers), known.polarizations
-        axes = zip(("receiver", "polarization"), self.dataset.link, names, strict=True)
-        links = [
-            f"methods see {axis} {shown} of {', '.join(names)}; option {axis} chooses another"
-            for axis, shown, names in axes
-            if names
-        ]
-        absent = left_out(self.dataset) if self.split.protocol.startswith("sparse") else None
-        return [*links, *filter(None, (absent, self.split.extrapolation(self.dataset)))]
+    def _hash(self, data: Sequence[str] = (), split: Sequence[str] = (), more: Sequence[str] = ()) -> str:
+        method = self.job.method, self.code_sha256, self.config
+        return json_sha256([*data, *method, *split, self.job.seed, asdict(self.job.budget), *more])[:16]
 
     @property
     def files(self) -> dict[Path, str]:
         """The data sets that every worker has to find, with their hashes; rooms are compared when they are opened."""
-        return {} if isinstance(self.split, RoomSplit) else {self.path: self.dataset.file_sha256}
-
-    def training_part(self) -> PasDataset | Collection:
-        """What the method is fitted to, as copies that it may change."""
-        if isinstance(self.split, RoomSplit):
-            return deepcopy(self.split.collection.part("train"))
-        return self.split.training_part(self.dataset)
-
-    def questions(self) -> Iterator[Question]:
-        """What the fitted method is asked: the test rows of a data set, or what is asked in each room in turn."""
-        if isinstance(self.split, RoomSplit):
-            for question in self.split.questions():
-                yield Question(question.asked, question.heard, f"in room {question.room.path.name}")
-        else:
-            yield Question(self.dataset[self.split.test], None, f"on split {self.split.name!r}")
+        return {self.path: self.data.file_sha256} if self.rooms is None else {}
 
     def new_method(self) -> Any:
         """Another untrained method, to be fitted: what it learns is freed with it, while tasks live longer."""
-        build = build_room_method if isinstance(self.split, RoomSplit) else build_method
+        build = build_method if self.rooms is None else build_room_method
         return build(self.job.method, self.job.overrides)
 
     @contextmanager
@@ -211,6 +164,6 @@ def require_runnable(tasks: Sequence[Task], folder: ResultsFolder) -> None:
     for task in tasks:
         folder.checkpoints(task.fit_id).read()
     folder.require_writable()
-    for path, dataset in {path: task.dataset for task in tasks for path in task.files}.items():
+    for path, dataset in {path: task.data for task in tasks for path in task.files}.items():
         verify(path)
         require_fingerprint(dataset)

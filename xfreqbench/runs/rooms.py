@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from xfreqbench.data.collection import Collection
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.hdf5 import (
     Variable,
@@ -26,7 +27,7 @@ from xfreqbench.data.hdf5 import (
     text_attributes,
     verify_sealed,
 )
-from xfreqbench.data.unseen_rooms import ROOM_PROTOCOL_VERSION, RoomSplit
+from xfreqbench.data.unseen_rooms import RoomSplit
 from xfreqbench.errors import DataError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
@@ -84,10 +85,10 @@ def _variables(num_rooms: int, num_rows: int, num_sums: int) -> list[Variable]:
     ]
 
 
-def write_answers(path: Path, split: RoomSplit, answers: Sequence[RoomAnswer]) -> None:
+def write_answers(path: Path, split_sha256: str, answers: Sequence[RoomAnswer]) -> None:
     """Store predictions, whole or not at all."""
     num_rows = sum(len(answer.rows) for answer in answers)
-    attributes = {"schema": ROOM_SCHEMA, "split_sha256": split.sha256}
+    attributes = {"schema": ROOM_SCHEMA, "split_sha256": split_sha256}
     with create_sealed(path, _variables(len(answers), num_rows, answers[0].sums.shape[1]), attributes) as writer:
         writer.append("lag", np.arange(answers[0].sums.shape[1]))
         writer.append("tested_room", np.arange(len(answers)))
@@ -99,7 +100,7 @@ def write_answers(path: Path, split: RoomSplit, answers: Sequence[RoomAnswer]) -
             writer.append("lags", answer.sums)
 
 
-def _read(path: Path, split: RoomSplit) -> tuple[list[RoomAnswer], IntArray]:
+def _read(path: Path, split_sha256: str, num_rooms: int) -> tuple[list[RoomAnswer], IntArray]:
     """Stored predictions of every room, and the room of each; raises `DataError` for a file that is damaged."""
     verify_sealed(path, ROOM_SCHEMA)
     with open_sealed(path, ROOM_SCHEMA) as file:
@@ -107,7 +108,7 @@ def _read(path: Path, split: RoomSplit) -> tuple[list[RoomAnswer], IntArray]:
             read_array(file, name) for name in ("room", "row", "lags", "adapt_seconds", "predict_seconds")
         )
         require_layout(file, _variables(len(adapt_s), len(row), sums.shape[1]))
-        if text_attributes(file)["split_sha256"] != split.sha256 or len(adapt_s) != len(split.rooms):
+        if text_attributes(file)["split_sha256"] != split_sha256 or len(adapt_s) != num_rooms:
             raise DataError(f"{path} holds predictions of another split. Delete it and run again.")
     answers = [
         RoomAnswer(row[room == number], sums[room == number], float(adapt_s[number]), float(predict_s[number]))
@@ -116,40 +117,41 @@ def _read(path: Path, split: RoomSplit) -> tuple[list[RoomAnswer], IntArray]:
     return answers, room.astype(np.int64)
 
 
-def scored_in_rooms(split: RoomSplit, path: Path) -> dict[str, Any]:
+def scored_in_rooms(rooms: Collection, split: RoomSplit, path: Path) -> dict[str, Any]:
     """What a record holds of a split and of the scores of its stored predictions, by room in `ssim_by_tx`.
 
     Raises `DataError` if the predictions are damaged or of another split.
     """
-    answers, room = _read(path, split)
+    tested = rooms.part(split.part)
+    answers, room = _read(path, split.sha256, len(tested))
     scores = defaultdict[str, list[FloatArray]](list)
     carriers_hz, in_sight = [], []
-    for question, answer in zip(split.questions(), answers, strict=True):
-        asked, kind = question.asked, question.room.header.pas_kind
+    for question, answer in zip(split.questions(rooms), answers, strict=True):
+        asked, kind = question.asked, question.asked.header.pas_kind
         if not np.array_equal(asked.rows, answer.rows):
             raise DataError(f"{path} holds predictions of other samples. Delete it and run again.")
         maps = _lag_functions(asked).maps(answer.sums, kind)
         for name, values in score_all(maps, asked.pas(), asked.grid, kind).items():
             scores[name].append(values)
         carriers_hz.append(asked.carrier_hz)
-        seen = question.room.tables["line_of_sight"][np.unique(asked.tx_index)]
+        seen = asked.tables["line_of_sight"][np.unique(asked.tx_index)]
         in_sight.append("".join(str(int(each)) for each in seen))
     every = {name: np.concatenate(values) for name, values in scores.items()}
-    collection = split.collection.record
-    recipe = [collection.family_sha256, collection.options, [each.seed for each in split.collection.rooms]]
+    collection = rooms.record
+    recipe = [collection.family_sha256, collection.options, [each.seed for each in rooms.rooms]]
     return {
         "dataset_sha256": json_sha256([each.sha256 for each in collection.rooms]),
         "recipe": f"data-{json_sha256(recipe)}",
         "scene": collection.name,
-        "pas_kind": split.rooms[0].header.pas_kind,
+        "pas_kind": tested[0].header.pas_kind,
         "settings": {
-            "rooms_trained_on": len(split.collection.part("train")),
+            "rooms_trained_on": len(rooms.part("train")),
             "rooms_tested": len(answers),
-            ROOM_TYPES: [each.type for each in split.rooms.rooms],
+            ROOM_TYPES: [each.type for each in tested.rooms],
             ROOM_SIGHT: in_sight,
         },
         "split_sha256": split.sha256,
-        "protocol_version": ROOM_PROTOCOL_VERSION,
+        "protocol_version": split.version,
         "num_test": len(room),
         "num_without_path": 0,
         "shares_transmitters": False,

@@ -23,7 +23,7 @@ from pydantic import InstanceOf
 
 from xfreqbench.data.collection import Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
-from xfreqbench.data.splits import HELD_OUT_RECEIVER
+from xfreqbench.data.splits import HELD_OUT_RECEIVER, Question
 from xfreqbench.data.unseen_rooms import ROOM_PROTOCOLS, RoomSplit
 from xfreqbench.errors import (
     ClusterError,
@@ -40,7 +40,7 @@ from xfreqbench.methods.registry import device_option, method_names, name_of, re
 from xfreqbench.runs.estimate import estimate_runs
 from xfreqbench.runs.fit import FitProgress, fitted
 from xfreqbench.runs.folder import ResultsFolder
-from xfreqbench.runs.jobs import Question, Task, require_importable, require_runnable, tasks_of
+from xfreqbench.runs.jobs import Task, require_importable, require_runnable, tasks_of
 from xfreqbench.runs.options import MethodOptions, Methods, RunOptions
 from xfreqbench.runs.predictions import SCHEMA, MapBatch, fault_of_maps, require_no_others, write_predictions
 from xfreqbench.runs.progress import RunProgress, run_bars
@@ -125,7 +125,7 @@ def asked_tasks(data: str | Path | PasDataset | Collection, methods: Methods, op
 def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress: bool) -> list[RunRecord]:
     """The records of tasks, run where `executor` says; `progress` is that of `run`, and so are the errors raised."""
     if progress:
-        for note in dict.fromkeys(note for task in tasks for note in task.notes):
+        for note in dict.fromkeys(note for task in tasks for note in task.split.notes(task.data)):
             print(f"xfreqbench: {note}", file=sys.stderr, flush=True)
         estimate = estimate_runs(tasks, results_dir, executor)
         if estimate.is_long:
@@ -274,15 +274,16 @@ def run_task(task: Task, folder: ResultsFolder, fitting: FitProgress | None = No
         method, fit, curve = fitted(task, folder, fitting)
         counts = dict(fit.counts)
         if isinstance(split, RoomSplit):
-            answers = _answers_in_rooms(task, split, method, folder.checkpoints(task.id).path, fitting)
-            write_answers(path, split, answers)
+            num_rooms, kept = len(task.data.part(split.part)), folder.checkpoints(task.id).path
+            answers = _answers_in_rooms(task, method, num_rooms, kept, fitting)
+            write_answers(path, split.sha256, answers)
             predict_s = sum(answer.predict_seconds for answer in answers)
             counts[ROOM_SECONDS] = float(np.median([answer.seconds + answer.predict_seconds for answer in answers]))
         else:
-            clock, (question,) = Stopwatch(), task.questions()
-            hashes = {"dataset_sha256": task.dataset.sha256, "split_sha256": split.sha256}
+            clock, (question,) = Stopwatch(), split.questions(task.data)
+            hashes = {"dataset_sha256": task.data.sha256, "split_sha256": split.sha256}
             maps = _predicted(task, method, question, clock, BATCH_SIZE)
-            write_predictions(path, maps, num_rows=len(split.test), grid_shape=task.dataset.grid.shape, **hashes)
+            write_predictions(path, maps, len(question.asked), task.data.grid.shape, **hashes)
             predict_s = clock.seconds
         memory_mib = machine.peak_memory_mib()
         with task.method_errors("num_parameters"):
@@ -290,9 +291,9 @@ def run_task(task: Task, folder: ResultsFolder, fitting: FitProgress | None = No
         with task.method_errors("findings"):
             findings = checked_findings(method)
         if isinstance(split, RoomSplit):
-            scored = scored_in_rooms(split, path)
+            scored = scored_in_rooms(task.data, split, path)
         else:
-            scored = scored_on_split(task.dataset, split, path)
+            scored = scored_on_split(task.data, split, path)
     outcome = {
         "config": task.config,
         "step": fit.step,
@@ -311,11 +312,11 @@ def run_task(task: Task, folder: ResultsFolder, fitting: FitProgress | None = No
 
 
 def _answers_in_rooms(
-    task: Task, split: RoomSplit, method: Any, kept: Path, fitting: FitProgress | None
+    task: Task, method: Any, num_rooms: int, kept: Path, fitting: FitProgress | None
 ) -> list[RoomAnswer]:
     """What a method predicts in every room, to which it is adapted; rooms that are done are kept in a folder."""
-    started_s, pieces, num_rooms = time.perf_counter(), Pieces(kept, task.id), len(split.rooms)
-    for number, question in enumerate(task.questions()):
+    started_s, pieces = time.perf_counter(), Pieces(kept, task.id)
+    for number, question in enumerate(task.split.questions(task.data)):
         if number not in pieces:
             adapting, predicting = Stopwatch(), Stopwatch()
             with task.method_errors("adapt", question.place), adapting:
@@ -323,8 +324,7 @@ def _answers_in_rooms(
             ((_, maps),) = _predicted(task, predictor, question, predicting, len(question.asked))
             pieces.put(number, **vars(answer_of(question.asked, maps, adapting.seconds, predicting.seconds)))
         if fitting:
-            share = (number + 1) / num_rooms
-            fitting(task.job, Fit(number + 1, nan, time.perf_counter() - started_s, share))
+            fitting(task.job, Fit(number + 1, nan, time.perf_counter() - started_s, (number + 1) / num_rooms))
     kept_arrays: list[dict[str, Any]] = [pieces.get(number) for number in range(num_rooms)]
     return [RoomAnswer(**{name: array[()] for name, array in arrays.items()}) for arrays in kept_arrays]
 
