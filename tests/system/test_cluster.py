@@ -31,7 +31,7 @@ from xfreqbench.data.plan import Plan
 from xfreqbench.errors import ClusterError, StorageError
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.runs.records import RunRecord, read
-from xfreqbench.runs.run import require_shared_datasets, require_shared_folder
+from xfreqbench.runs.run import require_shared
 from xfreqbench.scene.model import load_scene
 from xfreqbench.system import cluster
 from xfreqbench.system.cluster import dask_workers, local_cluster
@@ -435,17 +435,17 @@ class _OtherDisk(InThisProcess):
         self.root = root
 
     def ask(self, question: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
-        return {"tcp://other": question(*(self.root / path.relative_to("/") for path in arguments))}
+        (token, *paths) = (self.root / path.relative_to("/") for path in (arguments[0], *arguments[1]))
+        return {"tcp://other": question(token, paths)}
 
 
 def test_folders_and_data_that_workers_do_not_see_are_refused(tmp_path: Path) -> None:
     data = paper_dataset(tmp_path / "data.h5", num_tx=2)
     elsewhere = _OtherDisk(tmp_path / "other")
     with pytest.raises(ClusterError, match="same path on every machine"):
-        require_shared_folder(elsewhere, tmp_path / "results")
+        require_shared(elsewhere, tmp_path / "results", {})
     assert list((tmp_path / "results").iterdir()) == []
-    with pytest.raises(ClusterError, match="finds no data set"):
-        require_shared_datasets(elsewhere, {data.path: data.sha256})
     same = _OtherDisk(Path("/"))
-    require_shared_folder(same, tmp_path / "results")
-    require_shared_datasets(same, {data.path: data.sha256})
+    require_shared(same, tmp_path / "results", {data.path: data.sha256})
+    with pytest.raises(ClusterError, match="finds no data set"):
+        require_shared(same, tmp_path / "results", {tmp_path / "gone.h5": data.sha256})

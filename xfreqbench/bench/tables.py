@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from xfreqbench.runs.records import BenchFigure, BenchRecord, append, read
+from xfreqbench.runs.records import BenchFigure, BenchRecord, append, made_here, read
 from xfreqbench.system.files import require_name, require_regular, storage_errors
 from xfreqbench.system.machine import hardware
 
@@ -83,7 +83,7 @@ class Bench:
         yield table
         self.say("")
         if self.output is not None:
-            record = BenchRecord.here(
+            record = BenchRecord(
                 bench=self.name,
                 title=title,
                 command=self.command,
@@ -91,7 +91,7 @@ class Bench:
                 columns=table.columns,
                 rows=tuple(table.rows),
                 figure=table.figure,
-                versions=versions,
+                **made_here(versions),
             )
             append(self.output, record)
 

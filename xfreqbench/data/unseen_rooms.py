@@ -41,9 +41,6 @@ ROOM_PROTOCOL_VERSION = "1"
 NUMS_HEARD = (0, 4, 16, 64)  # transmitters
 NUM_ASKED = 16
 HEARD_GHZ, ASKED_GHZ = (1.0, 10.0, 60.0), (2.4, 24.25, 77.0)  # it is asked for those it heard too
-TOLD_MATERIAL, TOLD_THICKNESS_M = "concrete", 0.2  # of every surface of a plan
-_SEED = 0
-_SAME_PLAN_M = 5e-3
 
 
 @dataclass(frozen=True)
@@ -95,7 +92,7 @@ def room_question(room: PasDataset, seed: int, num_heard: int, plan_told: bool =
     transmitters is told, and where the plan is not told, no scene.
     """
     has_path = (room.tables["peak_power"] > 0).all(axis=1)
-    order = np.random.default_rng([_SEED, seed]).permutation(np.flatnonzero(has_path))
+    order = np.random.default_rng([0, seed]).permutation(np.flatnonzero(has_path))
     if len(order) < NUM_ASKED + num_heard:
         raise ProtocolError(
             f"Protocol {UNSEEN_ROOMS!r} hears {num_heard} transmitters of a room and asks for {NUM_ASKED} others, but "
@@ -181,7 +178,7 @@ def require_no_room_twice(collection: Collection) -> None:
             shape = np.sort(np.reshape(spans_m, (-1, 6)), axis=0).ravel()  # in whatever order the surfaces are
             plans[f"{len(shape)} {bare.canonical_json}"].append((room, np.append(shape, 0.0)))
     for alike in plans.values():
-        near = KDTree([shape for _, shape in alike]).query_pairs(_SAME_PLAN_M, p=np.inf)
+        near = KDTree([shape for _, shape in alike]).query_pairs(5e-3, p=np.inf)
         for first, second in sorted(near):
             _require_other(collection, "plan", alike[first][0], alike[second][0])
 
@@ -200,7 +197,7 @@ def _plan(dataset: PasDataset) -> Scene | None:
         return None
     scene = dataset.scene
     told = (
-        replace(surface, name=f"surface {number}", material=TOLD_MATERIAL, thickness_m=TOLD_THICKNESS_M)
+        replace(surface, name=f"surface {number}", material="concrete", thickness_m=0.2)
         for number, surface in enumerate(scene.surface)
     )
     return replace(scene, name="room", description="", surface=tuple(told), material=(), transmitters=None)

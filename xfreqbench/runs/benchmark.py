@@ -31,7 +31,7 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task, tasks_of
 from xfreqbench.runs.presets import BENCHES, COSTS, PRESETS, Block, Preset, Setting
 from xfreqbench.runs.progress import RunProgress
-from xfreqbench.runs.records import BenchRecord, Job
+from xfreqbench.runs.records import BenchRecord, Job, made_here
 from xfreqbench.runs.run import imports_of, run_jobs
 from xfreqbench.system.files import require_text
 from xfreqbench.system.processes import SERIAL, LocalProcesses, all_cores, open_workers, own_cores
@@ -260,13 +260,14 @@ def _command(arguments: list[str]) -> str | int | None:
 
 def record_contents(benchmark: Benchmark) -> None:
     """Record what the benchmark consists of and what it leaves out, unless that is recorded already."""
-    contents = BenchRecord.here(
+    contents = BenchRecord(
         bench="benchmark",
         title=f"Preset {benchmark.name}",
         command=f"xfreqbench benchmark --preset {benchmark.name}",
         note=f"Preset {benchmark.name}: {benchmark.preset.description}. Left out: {benchmark.preset.left_out}.",
         columns=("scene", "protocol", "splits", "methods", "seeds", "budget", "runs"),
         rows=tuple(map(_contents, benchmark.preset.blocks)),
+        **made_here(),
     )
     known = [(bench.note, bench.rows) for bench in benchmark.results.stored.benches]
     if (contents.note, contents.rows) not in known:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TypeVar
 from uuid import uuid4
 
-from pydantic import ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from xfreqbench.errors import DataError, StorageError
 from xfreqbench.methods.config import as_json
@@ -31,8 +31,6 @@ _METHOD_FOLDER, _STATE_FILE, _UNFINISHED = "method", "checkpoint.json", ".partia
 
 class Checkpoint(SealedModel):
     """How a fit stood when its method was saved; `sha256` holds the hash of every file that the method wrote."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     task_id: str
     step: Count

@@ -72,19 +72,14 @@ def estimate_runs(tasks: Sequence[Task], results_dir: Path, executor: str = SERI
         else:
             num_fits.append(0 if task.fit_id in across else 1)
             across.add(task.fit_id)
-    return Estimate(len(tasks), tuple(task.job for task in left), _num_places(executor), tuple(num_fits))
+    num_places = 1 if executor == SERIAL else int(executor) if executor.isdecimal() else None
+    return Estimate(len(tasks), tuple(task.job for task in left), num_places, tuple(num_fits))
 
 
 def in_hours(seconds: float) -> str:
     """A time in minutes, or in hours and minutes: `7 min`, `2 h 05 min`."""
     minutes = max(1, round(seconds / 60))
     return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
-
-
-def _num_places(executor: str) -> int | None:
-    if executor == SERIAL:
-        return 1
-    return int(executor) if executor.isdecimal() and len(executor) < 9 else None
 
 
 def _is_trivial(job: Job) -> bool:

@@ -35,7 +35,6 @@ from xfreqbench.system.files import require_regular, require_space, sole_worker,
 from xfreqbench.types import NDArray
 
 RECORDS_NAME = "records.jsonl"
-_PREDICTIONS, _CHECKPOINTS, _METHODS = "predictions", "checkpoints", "methods"
 
 
 class ResultsFolder:
@@ -116,11 +115,11 @@ class ResultsFolder:
 
     def predictions_path(self, record_id: str) -> Path:
         """The file for the predictions of the run with an id, whether it exists or not."""
-        return self.path / _PREDICTIONS / f"{record_id}.h5"
+        return self.path / "predictions" / f"{record_id}.h5"
 
     def predictions_paths(self) -> list[Path]:
         """All files of predictions, by name."""
-        return sorted((self.path / _PREDICTIONS).glob("*.h5"))
+        return sorted((self.path / "predictions").glob("*.h5"))
 
     def predictions(self, record: RunRecord) -> Predictions:
         """The predictions of a record; raises `DataError` if they are absent, damaged or of another split."""
@@ -142,11 +141,11 @@ class ResultsFolder:
 
     def checkpoints(self, record_id: str) -> CheckpointFolder:
         """The checkpoints of the run whose record will have that id."""
-        return CheckpointFolder(self.path / _CHECKPOINTS / record_id, record_id)
+        return CheckpointFolder(self.path / "checkpoints" / record_id, record_id)
 
     def fitted(self, fit_id: str) -> CheckpointFolder:
         """The method as a fit has left it: that of the run with that id, or of several that share it."""
-        path = self.path / _METHODS / fit_id
+        path = self.path / "methods" / fit_id
         predictions = self.predictions_path(fit_id)
         also = f"{predictions} and " if predictions.exists() else ""
         return CheckpointFolder(

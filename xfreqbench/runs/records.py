@@ -18,21 +18,12 @@ from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Int
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    PlainSerializer,
-    ValidationError,
-    WrapValidator,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, PlainSerializer, ValidationError, WrapValidator, model_validator
 from pydantic_core import from_json
 
 from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import Budget
-from xfreqbench.runs.sealed import SealedModel
+from xfreqbench.runs.sealed import SealedModel, StoredModel
 from xfreqbench.system.arguments import only_given
 from xfreqbench.system.files import exclusive, read_bytes, require_regular, require_text, storage_errors
 from xfreqbench.system.machine import git_commit, hardware, now, software
@@ -47,7 +38,6 @@ CURVE_SHARES = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the budget; t
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 
-_MAX_NUMBERS = 10_000_000  # of a text that is unpacked
 _STEP = 1e-4  # of the scores of single samples; medians, which tables print to 1e-5, are finer
 
 
@@ -88,7 +78,7 @@ def unpack(packed: Any, step: float) -> Any:
         return packed
     inflate = zlib.decompressobj()
     try:
-        content = inflate.decompress(base64.b64decode(packed, validate=True), 4 * _MAX_NUMBERS)
+        content = inflate.decompress(base64.b64decode(packed, validate=True), 4 * 10_000_000)
     except zlib.error as error:
         raise ValueError(f"a packed list cannot be read: {error}") from error
     if not inflate.eof or len(content) % 4:
@@ -170,10 +160,8 @@ class Job:
             require_text(text)
 
 
-class Summary(BaseModel):
+class Summary(StoredModel):
     """One metric over the test samples: `p10` is the 10 % quantile, `quantiles` are those of 0, 1, … 100 %."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     mean: Score
     median: Score
@@ -182,13 +170,11 @@ class Summary(BaseModel):
     median_by_carrier_hz: dict[Annotated[str, Field(pattern=r"^\d{1,18}$")], Score]
 
 
-class CurvePoint(BaseModel):
+class CurvePoint(StoredModel):
     """How a fit stood at one step: `ssim` is the median over a sample of test maps, `seconds` is the fitting time.
 
     `share` is the part of the budget that was spent.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     step: Count
     seconds: Seconds
@@ -197,14 +183,12 @@ class CurvePoint(BaseModel):
     share: Amount
 
 
-class External(BaseModel):
+class External(StoredModel):
     """Where predictions come from that were made elsewhere.
 
     `sha256` is the hash of all maps and declarations that came in one file. `hardware` and `url` are as declared
     by their authors.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     sha256: Sha256
     hardware: str | None = None
@@ -233,8 +217,6 @@ class RunRecord(SealedModel):
     as declared, or None; `peak_memory_mib` is None, `step` is 0 and `hardware` is empty. Only the scores were computed
     here, with the software and the commit that the record names.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     id: str
     job: Job
@@ -313,10 +295,8 @@ class RunRecord(SealedModel):
         return self.fit_processor_seconds / self.fit_seconds if is_here else nan
 
 
-class BenchPoint(BaseModel):
+class BenchPoint(StoredModel):
     """A point of a figure: `series` names the line it belongs to, `label` the settings that were measured."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     series: str
     label: str
@@ -324,13 +304,11 @@ class BenchPoint(BaseModel):
     y: float
 
 
-class BenchFigure(BaseModel):
+class BenchFigure(StoredModel):
     """Points to draw, with labels of both axes that include their units.
 
     Where `x_is_cost`, less of it is better, and the figure marks what nothing cheaper beats.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     x_label: str
     y_label: str
@@ -341,8 +319,6 @@ class BenchFigure(BaseModel):
 
 class BenchRecord(SealedModel):
     """A table of a measurement, with cells as printed. `command` makes it again; `note` says how to read it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     bench: str
     title: str
@@ -355,33 +331,6 @@ class BenchRecord(SealedModel):
     software: dict[str, str]
     git_commit: str | None
     time_utc: str
-
-    @classmethod
-    def here(
-        cls,
-        bench: str,
-        title: str,
-        command: str,
-        note: str,
-        columns: tuple[str, ...],
-        rows: tuple[tuple[str, ...], ...],
-        figure: BenchFigure | None = None,
-        versions: Mapping[str, str] | None = None,
-    ) -> BenchRecord:
-        """The record of a table that was measured on this machine, now; `versions` are those of further libraries."""
-        return cls(
-            bench=bench,
-            title=title,
-            command=command,
-            note=note,
-            columns=columns,
-            rows=rows,
-            figure=figure,
-            hardware=hardware(),
-            software=software() | dict(versions or {}),
-            git_commit=git_commit(),
-            time_utc=utc_now(),
-        )
 
     @model_validator(mode="after")
     def _require_cells(self) -> BenchRecord:
@@ -503,6 +452,12 @@ def fault_of_fields(error: ValidationError) -> str:
     fault = error.errors(include_url=False, include_context=False, include_input=False)[0]
     place = ".".join(map(str, fault["loc"]))
     return f"{place}: {fault['msg']}" if place else fault["msg"]
+
+
+def made_here(versions: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """The fields of a record that is made on this machine, now; `versions` are those of further libraries."""
+    told = {"hardware": hardware(), "software": software() | dict(versions or {})}
+    return told | {"git_commit": git_commit(), "time_utc": utc_now()}
 
 
 def utc_now() -> str:

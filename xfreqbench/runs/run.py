@@ -215,8 +215,8 @@ def run_jobs(
             call = partial(run_task, folder=folder, fitting=fitting)
         else:
             call = partial(run_task, folder=ResultsFolder(folder.path), fitting=_send_fit)
-            require_shared_folder(workers, folder.path)
-            require_shared_datasets(workers, {path: sha256 for task in missing for path, sha256 in task.files.items()})
+            files = {path: sha256 for task in missing for path, sha256 in task.files.items()}
+            require_shared(workers, folder.path, files)
         for task, ended in side_by_side(workers, call, missing):
             error = ended.exception()
             if was_interrupted(error):
@@ -302,7 +302,6 @@ def run_task(task: Task, folder: ResultsFolder, fitting: FitProgress | None = No
         "predict_ms_per_map": predict_s / scored["num_test"] * 1e3,
         "peak_memory_mib": memory_mib,
         "parameters": parameters,
-        "hardware": machine.hardware(),
         "counts": counts,
         "curve": curve,
         "code_sha256": task.code_sha256,
@@ -349,40 +348,39 @@ def _predicted(task: Task, predictor: Any, question: Question, clock: Stopwatch,
         yield rows, maps
 
 
-def require_shared_folder(workers: Workers, folder: Path) -> None:
-    """Raise `ClusterError` unless every worker finds what is put into a folder, and may write there."""
+def require_shared(workers: Workers, folder: Path, sha256_by_path: Mapping[Path, str]) -> None:
+    """Raise `ClusterError` unless every worker finds what is put into a folder, may write there, and finds data sets.
+
+    These are the same at the same paths, by their sha256.
+    """
     token = folder.absolute() / f".shared-{uuid4().hex}"
     with storage_errors(token):
         token.parent.mkdir(parents=True, exist_ok=True)
         token.touch()
     try:
-        blind = [worker for worker, sees in workers.ask(_sees, token).items() if not sees]
+        answers = workers.ask(_found_there, token, [*sha256_by_path])
     finally:
         token.unlink()
-    if blind:
-        raise ClusterError(
-            f"{len(blind)} workers do not see {token.parent}, or may not write there, {blind[0]} among them. Choose "
-            "a folder on a file system that is mounted at the same path on every machine."
-        )
-
-
-def require_shared_datasets(workers: Workers, sha256_by_path: Mapping[Path, str]) -> None:
-    """Raise `ClusterError` unless every worker finds the same data sets at the same paths, by their sha256."""
-    for path, expected in sha256_by_path.items():
-        for worker, found in workers.ask(_sha256_there, path).items():
-            if found != expected:
+    advice = "on a file system that is mounted at the same path on every machine."
+    for worker, (sees_folder, found) in answers.items():
+        if not sees_folder:
+            raise ClusterError(
+                f"Worker {worker} does not see {token.parent}, or may not write there. Choose a folder {advice}"
+            )
+        for sha256, (path, expected) in zip(found, sha256_by_path.items(), strict=True):
+            if sha256 != expected:
                 raise ClusterError(
-                    f"Worker {worker} finds {found or 'no data set'} at {path}, but it is {expected} here. Keep data "
-                    "sets on a file system that is mounted at the same path on every machine."
+                    f"Worker {worker} finds {sha256 or 'no data set'} at {path}, but it is {expected} here. Keep data "
+                    f"sets {advice}"
                 )
 
 
-def _sees(path: Path) -> bool:
-    return path.exists() and os.access(path.parent, os.W_OK)
-
-
-def _sha256_there(path: Path) -> str | None:
-    try:
-        return open_dataset(path).file_sha256
-    except DataError:
-        return None
+def _found_there(token: Path, paths: Sequence[Path]) -> tuple[bool, list[str | None]]:
+    """Whether a file is seen that others may be put beside, and the hash of each data set, None where there is none."""
+    found = list[str | None]()
+    for path in paths:
+        try:
+            found.append(open_dataset(path).file_sha256)
+        except DataError:
+            found.append(None)
+    return token.exists() and os.access(token.parent, os.W_OK), found

@@ -16,8 +16,7 @@ from xfreqbench.data.splits import Split
 from xfreqbench.errors import ArgumentError, DataError
 from xfreqbench.maps.metrics import METRICS_VERSION, quantiles, score_all
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, read_predictions
-from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord, Summary, utc_now
-from xfreqbench.system import machine
+from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord, Summary, made_here
 from xfreqbench.system.arguments import checked
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
@@ -29,8 +28,7 @@ def record_of(record_id: str, job: Job, scored: Mapping[str, Any], outcome: Mapp
 
     Both are fields of `RunRecord` by their names.
     """
-    here: dict[str, Any] = {"software": machine.software(), "git_commit": machine.git_commit(), "time_utc": utc_now()}
-    return RunRecord(id=record_id, job=job, metrics_version=METRICS_VERSION, **here, **scored, **outcome)
+    return RunRecord(id=record_id, job=job, metrics_version=METRICS_VERSION, **{**made_here(), **scored, **outcome})
 
 
 def scored_on_split(dataset: PasDataset, split: Split, predictions: Path) -> dict[str, Any]:

@@ -6,13 +6,19 @@ import hashlib
 import json
 from typing import Any
 
-from pydantic import BaseModel, model_validator
+from pydantic import BaseModel, ConfigDict, model_validator
 from pydantic_core import from_json
 
 SEAL = "content_sha256"  # the last field of the JSON, and no field of the model
 
 
-class SealedModel(BaseModel):
+class StoredModel(BaseModel):
+    """A model with no other fields than its own, whose JSON has infinite numbers and nan as texts."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
+
+
+class SealedModel(StoredModel):
     """A model that `sealed_json` writes with its hash; JSON with another hash, or without one, is refused."""
 
     def sealed_json(self) -> bytes:

@@ -174,8 +174,8 @@ def test_the_command_that_stores_missing_predictions_makes_the_same_records(tmp_
     command = gallery(board, [])["missing"].split("`")[1].split()
     assert command[:1] == ["xfreqbench"]
     _, given, _ = app.parse_args(command[1:], exit_on_error=False, print_error=False, help_on_error=False)
-    again = {"protocol": "lofo", "on": "test"} | given.arguments
-    (split,) = xb.make_splits(data, again["protocol"], [24.25], again["on"])
+    again = given.arguments["options"]
+    (split,) = xb.make_splits(data, again.protocol, [24.25], again.on)
     assert split.sha256 == record.split_sha256
 
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.data.splits import SPARSE_TEST_HZ, VALIDATIONS
@@ -28,7 +28,7 @@ from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import Predictions
 from xfreqbench.runs.records import FiniteScore, RunRecord, fault_of_fields
 from xfreqbench.runs.scoring import BATCH_SIZE
-from xfreqbench.runs.sealed import SealedModel
+from xfreqbench.runs.sealed import SealedModel, StoredModel
 from xfreqbench.system.files import read_bytes, require_own
 from xfreqbench.types import IntArray, Maps, NDArray
 
@@ -37,10 +37,8 @@ _RANGE_DB = 30.0
 Levels = UInt8[NDArray[np.uint8], "n R C"]
 
 
-class _PredictedMaps(BaseModel):
+class _PredictedMaps(StoredModel):
     """What one run predicts for the samples: scores of the whole maps, and their levels as a PNG in base64."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     ssim: tuple[FiniteScore, ...]
     psnr: tuple[float, ...]
@@ -52,8 +50,6 @@ class ShownMaps(SealedModel):
 
     The maps of all samples are one below the other in a picture, the pole at the upper edge of each.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", ser_json_inf_nan="strings")
 
     split: str
     tx_position_m: Annotated[
