@@ -15,7 +15,7 @@ from xfreqbench.errors import OutputExistsError, StorageError, UnknownNameError
 from xfreqbench.methods.registry import build_method, method_names
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.runs import benchmark as benchmarks
-from xfreqbench.runs.benchmark import Benchmark, cost, plan_benchmark
+from xfreqbench.runs.benchmark import Benchmark, cost
 from xfreqbench.runs.folder import ResultsFolder, read_records
 from xfreqbench.runs.presets import PRESETS, Block, Preset, Setting
 from xfreqbench.system.workers import HERE, InThisProcess
@@ -44,7 +44,7 @@ def _small_preset(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_says_what_it_leaves_out_and_builds_its_methods(name: str) -> None:
-    preset = plan_benchmark(name, Path("data"), Path("results")).preset
+    preset = Benchmark(name, Path("data"), Path("results")).preset
     assert preset.left_out
     assert set(preset.benches) <= set(benchmarks.BENCHES)
 
@@ -80,13 +80,13 @@ def test_ablations_change_the_setting_that_they_name() -> None:
 
 
 def test_what_two_blocks_ask_for_is_counted_once(tmp_path: Path) -> None:
-    planned = plan_benchmark("paper", tmp_path / "data", tmp_path / "results")
+    planned = Benchmark("paper", tmp_path / "data", tmp_path / "results")
     assert "\n152 runs, 68 of them" in cost(planned, 2)  # three of the ablations' fits are those of lofo
 
 
 def test_an_unknown_preset_names_those_there_are(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="standard"):
-        plan_benchmark("standart", tmp_path, tmp_path)
+        Benchmark("standart", tmp_path, tmp_path)
 
 
 def test_the_cost_of_a_benchmark_is_told_without_tracing_or_importing_a_method(
@@ -98,7 +98,7 @@ def test_the_cost_of_a_benchmark_is_told_without_tracing_or_importing_a_method(
     monkeypatch.setattr("xfreqbench.data.trace.tracer_of", refused)
     monkeypatch.setattr(benchmarks, "build_method", refused)
     for name in ("quick", "rooms"):
-        assert "traced in about" in cost(plan_benchmark(name, tmp_path, tmp_path), 2)
+        assert "traced in about" in cost(Benchmark(name, tmp_path, tmp_path), 2)
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +113,7 @@ def _run(folder: Path) -> None:
 @pytest.mark.slow
 def test_a_benchmark_is_one_command_that_goes_on_where_it_stopped(folder: Path) -> None:
     """Interrupted by a failing run, it keeps the others, and then runs nothing but what is missing."""
-    planned = plan_benchmark("small", folder / "data", folder / "results")
+    planned = Benchmark("small", folder / "data", folder / "results")
     assert "12 transmitters" not in cost(planned, 2)
     assert f"{NUM_RUNS} runs, {NUM_RUNS} of them fits" in cost(planned, 2)
     _run(folder)
@@ -148,7 +148,7 @@ def test_a_second_benchmark_in_one_folder_is_refused_before_it_writes_anything(t
 
 @pytest.mark.slow
 def test_a_measurement_that_fails_is_named_and_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    planned = plan_benchmark("small", folder / "data", folder / "measured")
+    planned = Benchmark("small", folder / "data", folder / "measured")
     monkeypatch.setitem(benchmarks.BENCHES["stress"], "command", "bench stress --only 'ten octaves'")
 
     class FailsAfterItsTables(InThisProcess):
@@ -165,14 +165,14 @@ def test_a_measurement_that_fails_is_named_and_made_again(folder: Path, monkeypa
 
 
 def test_a_file_that_holds_other_data_is_not_used(folder: Path) -> None:
-    planned = plan_benchmark("small", folder / "other", folder / "results")
+    planned = Benchmark("small", folder / "other", folder / "results")
     generate("empty", planned.data_path("empty"), tx=3)
     with pytest.raises(OutputExistsError):
         benchmarks.generate_data(planned)
 
 
 def test_failed_runs_are_named_and_the_others_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    planned = plan_benchmark("small", folder / "data", folder / "results")
+    planned = Benchmark("small", folder / "data", folder / "results")
     benchmarks.generate_data(planned)
     broken = Preset(
         "",
@@ -180,12 +180,13 @@ def test_failed_runs_are_named_and_the_others_kept(folder: Path, monkeypatch: py
         "",
         {"empty": 12},
     )
+    monkeypatch.setitem(benchmarks.PRESETS, "broken", broken)  # type: ignore[arg-type]
     results = folder / "other"
     (results / "predictions").mkdir(parents=True)
-    task = Benchmark("broken", broken, folder / "data", results).tasks()[0]
+    task = Benchmark("broken", folder / "data", results).tasks()[0]
     blocked = ResultsFolder(results).predictions_path(task.id)
     blocked.mkdir()  # where the predictions would go, once everything else was checked
     monkeypatch.setattr(benchmarks, "run_workers", lambda *_: nullcontext(HERE))  # in this process
-    (failure,) = benchmarks.run_benchmark(Benchmark("broken", broken, folder / "data", results))
+    (failure,) = benchmarks.run_benchmark(Benchmark("broken", folder / "data", results))
     assert task.job.method in failure
     assert len(read_records(results)) == 1

@@ -28,7 +28,7 @@ from xfreqbench.methods import fitting
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.runs import fit, records
 from xfreqbench.runs import run as runner
-from xfreqbench.runs.benchmark import plan_benchmark
+from xfreqbench.runs.benchmark import Benchmark
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.predictions import read_predictions
 from xfreqbench.runs.records import Job
@@ -190,7 +190,7 @@ def test_a_name_that_no_record_can_hold_is_told_before_the_first_fit(dataset: Pa
         lambda: run(path, "nearest", targets_ghz=24.25, results=results),
         lambda: run(dataset, {"nearest": ["neighbours=\udce9"]}, results=results),
         lambda: score_file(dataset.path, path, results),
-        lambda: plan_benchmark("quick", path, results),
+        lambda: Benchmark("quick", path, results),
     ):
         with pytest.raises(StorageError, match=r"udce9.*' is no UTF-8, and a record cannot hold it\. Rename it"):
             refused()

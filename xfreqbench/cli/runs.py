@@ -218,7 +218,7 @@ def benchmark(
     from xfreqbench.system.bars import progress_bars
     from xfreqbench.system.processes import open_workers
 
-    planned = benchmarks.plan_benchmark(preset, data, results or Path("results") / preset, device, predictions)
+    planned = benchmarks.Benchmark(preset, data, results or Path("results") / preset, device, predictions)
     with benchmarks.run_workers(planned, executor) as workers:
         say(benchmarks.cost(planned, workers.num_places), quiet and not dry_run)
     if dry_run:

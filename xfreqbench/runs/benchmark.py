@@ -45,18 +45,27 @@ _TESTED_ROOMS = 107  # of a thousand
 
 @dataclass(frozen=True)
 class Benchmark:
-    """A preset, the folders of its data sets and results, and the device for methods that can use a GPU.
+    """The name of a preset, the folders of its data sets and results, and the device for methods that can use a GPU.
 
     `predictions` says which stored predictions stay after they were scored: `all`, or `shown`, those of the first
-    seed in the first scene, of which reports show maps.
+    seed in the first scene, of which reports show maps. Raises `UnknownNameError`; no method is imported.
     """
 
     name: str
-    preset: Preset
     data_dir: Path
     results_dir: Path
     device: str = "cpu"
     predictions: Literal["all", "shown"] = "all"
+
+    def __post_init__(self) -> None:
+        require_text(self.data_dir)
+        if self.name not in PRESETS:
+            raise UnknownNameError("preset", self.name, PRESETS)
+
+    @property
+    def preset(self) -> Preset:
+        """Which methods run on which scenes."""
+        return PRESETS[self.name]
 
     @cached_property
     def results(self) -> ResultsFolder:
@@ -125,17 +134,6 @@ class Benchmark:
         """Whether the predictions of a job stay after they were scored."""
         shown = str(self.data_path(self.preset.blocks[0].scene)), self.preset.blocks[0].seeds[0]
         return self.predictions == "all" or (job.dataset, job.seed) == shown
-
-
-def plan_benchmark(
-    name: str, data_dir: Path, results_dir: Path, device: str = "cpu", predictions: Literal["all", "shown"] = "all"
-) -> Benchmark:
-    """The benchmark of the preset with a name; no method is imported. Raises `UnknownNameError`."""
-    if name not in PRESETS:
-        raise UnknownNameError("preset", name, PRESETS)
-    preset = PRESETS[name]
-    require_text(data_dir)
-    return Benchmark(name, preset, data_dir, results_dir, device, predictions)
 
 
 def run_workers(

@@ -18,7 +18,7 @@ from xfreqbench.methods.trivial import EVERY_TRIVIAL, NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards, machine_name
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.report.leaderboard.side_by_side import compare_results
-from xfreqbench.runs.benchmark import Benchmark, plan_benchmark
+from xfreqbench.runs.benchmark import Benchmark
 from xfreqbench.runs.folder import read_records
 from xfreqbench.runs.records import Job
 
@@ -178,7 +178,7 @@ def test_the_reference_records_are_of_the_data_that_the_standard_benchmark_gener
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reference = boards(read_records(ROOT / "baselines" / "reference_results.parquet"))
-    benchmark, scenes = plan_benchmark("standard", tmp_path, tmp_path), {board.scene for board in reference}
+    benchmark, scenes = Benchmark("standard", tmp_path, tmp_path), {board.scene for board in reference}
     assert {"office", "two_rooms"} <= scenes <= set(benchmark.scenes)
     monkeypatch.setattr(Benchmark, "scenes", scenes)  # others are not planned
     for scene, plan in benchmark.plans.items():
