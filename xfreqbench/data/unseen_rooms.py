@@ -147,7 +147,7 @@ def room_splits(collection: Collection, protocol: str, on: str = "test") -> list
     """
     if protocol not in ROOM_PROTOCOLS:
         raise UnknownNameError("protocol for rooms", protocol, ROOM_PROTOCOLS)
-    require_no_room_twice(collection)
+    _require_no_room_twice(collection)
     parts: list[Part] = ["validation"] if on == "validation" else ["test", "other-type"]
     for part in ("train", parts[0]):
         if not len(collection.part(part)):
@@ -161,7 +161,7 @@ def room_splits(collection: Collection, protocol: str, on: str = "test") -> list
 
 
 @lru_cache(maxsize=1)
-def require_no_room_twice(collection: Collection) -> None:
+def _require_no_room_twice(collection: Collection) -> None:
     """Raise `ProtocolError` where two rooms of a collection have the same seed, the same data, or the same plan.
 
     Plans are compared without names and materials: a room with other walls of the same shape is that room, and so is

@@ -64,7 +64,7 @@ def checked(function: Callable[Taken, Returned]) -> Callable[Taken, Returned]:
     return call
 
 
-class TakesOptions(Protocol[Taken, Made]):
+class _TakesOptions(Protocol[Taken, Made]):
     """`generate`, `generate_rooms` or `run`: a function of two arguments, and of options by their names."""
 
     @overload
@@ -76,7 +76,7 @@ class TakesOptions(Protocol[Taken, Made]):
 
 def taking(
     options: Callable[Taken, Any], needed: Collection[str] = (), without: Collection[str] = ()
-) -> Callable[[Callable[[Any, Any, Any], Returned]], TakesOptions[Taken, Returned]]:
+) -> Callable[[Callable[[Any, Any, Any], Returned]], _TakesOptions[Taken, Returned]]:
     """A decorator: the function is called with the fields of its options in place of the object, as `checked` has it.
 
     The options, a dataclass whose fields have a `Doc`, are its last argument. Those of `needed` have no default, and

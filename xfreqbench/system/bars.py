@@ -20,7 +20,7 @@ _EVERY_S = 10.0  # between two lines
 ANNOUNCES = "XFREQBENCH_ANNOUNCES"  # a variable, so that workers have it: 1 to announce compilation, 0 for silence
 
 
-class Bars:
+class _Bars:
     """Stages of some work, each with its elapsed and remaining time; `open_bars` makes and closes them."""
 
     def __init__(self, progress: Any, stages: Sequence[str]) -> None:
@@ -84,12 +84,12 @@ class Bars:
 
 
 @contextmanager
-def open_bars(stages: Sequence[str]) -> Iterator[Bars]:
+def open_bars(stages: Sequence[str]) -> Iterator[_Bars]:
     """Bars for some stages, by name, until the block ends."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     texts = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}")
-    bars = Bars(Progress(*texts, TimeElapsedColumn(), TimeRemainingColumn(), console=_console()), stages)
+    bars = _Bars(Progress(*texts, TimeElapsedColumn(), TimeRemainingColumn(), console=_console()), stages)
     try:
         yield bars
     finally:

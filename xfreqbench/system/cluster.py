@@ -24,7 +24,7 @@ FIRST_WORKER_S = 30.0  # and then for its first worker, which has to import libr
 _LIBRARIES = ("numpy", "scipy", "h5py", "torch", "numba", "dask", "distributed")
 
 
-class DaskWorkers(Workers):
+class _DaskWorkers(Workers):
     """The workers of one scheduler, each making one call at a time.
 
     A call whose worker dies is made again on another worker. It ends with `ClusterError` once more workers have
@@ -80,7 +80,7 @@ class DaskWorkers(Workers):
 
 
 @contextmanager
-def dask_workers(address: str) -> Iterator[DaskWorkers]:
+def dask_workers(address: str) -> Iterator[_DaskWorkers]:
     """Yield the workers of the scheduler at `dask://host:port`, after checking that they match this process.
 
     Raises `ClusterError` if `distributed` is not installed, if there is no scheduler or no worker, if a worker has
@@ -102,10 +102,10 @@ def dask_workers(address: str) -> Iterator[DaskWorkers]:
                 f"No Dask scheduler answers at {address}: {fault}. Start one with `dask scheduler`, or fix --executor."
             ) from error
         with client:
-            workers = DaskWorkers(client, address)
+            workers = _DaskWorkers(client, address)
             _require_workers(client, address)
             for worker, found in workers.ask(fingerprint).items():
-                require_alike(worker, fingerprint(), found)
+                _require_alike(worker, fingerprint(), found)
             yield workers
 
 
@@ -164,7 +164,7 @@ def differences(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str:
     return ", ".join(f"{name} {theirs.get(name, 'none')} (here {ours.get(name, 'none')})" for name in sorted(names))
 
 
-def require_alike(worker: str, ours: Mapping[str, str], theirs: Mapping[str, str]) -> None:
+def _require_alike(worker: str, ours: Mapping[str, str], theirs: Mapping[str, str]) -> None:
     """Raise `ClusterError` where the versions of a worker are not those of the driver."""
     if differing := differences(ours, theirs):
         raise ClusterError(
@@ -204,7 +204,7 @@ def _call_alike(sent: bytes, drivers: Mapping[str, str]) -> Any:
     import cloudpickle
     from distributed import get_worker
 
-    require_alike(get_worker().address, drivers, fingerprint())
+    _require_alike(get_worker().address, drivers, fingerprint())
     return cloudpickle.loads(sent)()
 
 

@@ -34,7 +34,6 @@ Cores = frozenset[int]
 SERIAL = "serial"
 MAX_DEATHS = 4  # processes that may die of one call; Dask allows as many workers by default
 _UNKNOWN_STATUS = 255
-_LEAST_MIB = 50  # of memory that a process shares with no other once it has imported the toolkit
 _INTERRUPT = {signal.SIGINT}
 _THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
@@ -55,7 +54,8 @@ def open_workers(
     if executor == SERIAL:
         return nullcontext(HERE)
     if executor.isdecimal():
-        require_memory(_LEAST_MIB, f"Each worker of --executor {executor}", int(executor))
+        # what a process shares with no other once it has imported the toolkit
+        require_memory(50, f"Each worker of --executor {executor}", int(executor))
         return LocalProcesses(split_cores(int(executor)), is_fresh=is_fresh, imports=imports, on_message=on_message)
     return dask_workers(executor)
 

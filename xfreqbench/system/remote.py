@@ -13,7 +13,6 @@ from typing import Any
 
 from xfreqbench.errors import DataError, XFreqBenchError
 
-_TIMEOUT_S = 30.0  # for the first byte
 MOST_BYTES = 200_000_000  # of records, or of what describes a collection; the reference records have 25 MB
 
 
@@ -62,7 +61,7 @@ def _opened(address: str, process: int) -> Any:  # a forked process opens it ane
         advice = 'Run: pip install "xfreqbench[remote]"'
         raise XFreqBenchError(f'Reading from afar needs the extra "remote". {advice}') from error
     try:
-        with requests.get(address, headers={"Range": "bytes=0-0"}, stream=True, timeout=_TIMEOUT_S) as answer:
+        with requests.get(address, headers={"Range": "bytes=0-0"}, stream=True, timeout=30.0) as answer:
             answer.raise_for_status()
             gives_ranges = answer.status_code == requests.codes.partial_content
         if gives_ranges:

@@ -53,7 +53,7 @@ class Codes:
     shape_trend: Float[Tensor, "V 3"]
 
 
-class PlaceCodes(nn.Module):
+class _PlaceCodes(nn.Module):
     """Codes that follow from a Gaussian's place: a network of its encoded position."""
 
     def __init__(self, config: LowRankConfig) -> None:
@@ -92,7 +92,7 @@ class LowRankNetwork(nn.Module):
         self.layers = nn.ModuleList(nn.Linear(*sizes) for sizes in pairwise(widths))
         self.head = nn.Linear(config.width, config.rank + 1)
         self.trend = nn.Linear(config.width, config.rank + 1) if has_trend else None
-        self.of_place = PlaceCodes(config) if not config.latent else None
+        self.of_place = _PlaceCodes(config) if not config.latent else None
         with torch.no_grad():
             self.head.weight.mul_(_HEAD)
             self.head.bias.zero_()

@@ -78,7 +78,7 @@ class PairwiseMLP(nn.Module):
 
     def kind_for(self, query: Tensor) -> torch.dtype:
         """The kind in which layers on pairs compute."""
-        return torch.bfloat16 if is_narrow(self.precision, query.device) else query.dtype
+        return torch.bfloat16 if _is_narrow(self.precision, query.device) else query.dtype
 
     def after_first(self, first: Float[Tensor, "B V W"]) -> Float[Tensor, "B V O"]:
         """Outputs for pairs whose first layer is given, before its ReLU, which overwrites it."""
@@ -123,7 +123,7 @@ def _hidden(features: Float[Tensor, "P W"], weight: Float[Tensor, "V W"], bias: 
     return relu(torch.addmm(bias, features, weight.T), inplace=True)
 
 
-def is_narrow(precision: Precision, device: torch.device) -> bool:
+def _is_narrow(precision: Precision, device: torch.device) -> bool:
     """Whether hidden layers compute in bfloat16 on a device."""
     if precision != "auto":
         return precision == "bfloat16"

@@ -329,7 +329,7 @@ class LearnedMethod:
         field.load_state_dict(of_field)
         training = self._assembled(field, torch.Generator(), beam, kind)
         if of_mean := named(tensors, "mean."):
-            training.mean = mean_weights(field, self.config.averaging)
+            training.mean = _mean_weights(field, self.config.averaging)
             training.mean.load_state_dict(of_mean)
         for name, parameter in field.named_parameters():
             stored = {key: tensors[f"adam.{key}.{name}"] for key in ADAM if f"adam.{key}.{name}" in tensors}
@@ -424,7 +424,7 @@ class LearnedMethod:
         return loss
 
 
-def mean_weights(model: nn.Module, kept: float) -> AveragedModel:
+def _mean_weights(model: nn.Module, kept: float) -> AveragedModel:
     """A running mean of a model's weights, which keeps the share `kept` of itself at a step, and less at the start."""
 
     def update(means: Any, weights: Any, number: Any) -> None:
@@ -436,7 +436,7 @@ def mean_weights(model: nn.Module, kept: float) -> AveragedModel:
 def averaged(mean: AveragedModel | None, model: nn.Module, kept: float) -> AveragedModel:
     """The mean after another step; it begins anew where there is none, or where the model has other sizes."""
     if mean is None or _sizes(model) != _sizes(mean.module):
-        mean = mean_weights(model, kept)
+        mean = _mean_weights(model, kept)
     mean.update_parameters(model)
     return mean
 
