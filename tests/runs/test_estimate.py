@@ -33,22 +33,20 @@ def test_a_dry_run_says_jobs_and_time_and_writes_nothing(
 
 
 @pytest.mark.parametrize(
-    ("wrong", "kind"),
+    ("wrong", "options", "kind"),
     [
-        ({"method": "neares"}, UnknownNameError),
-        ({"targets_ghz": "3"}, ProtocolError),
-        ({"executor": "many"}, XFreqBenchError),
-        ({"set_": ("width=1",)}, XFreqBenchError),
+        ({"method": "neares"}, {}, UnknownNameError),
+        ({}, {"targets_ghz": "3"}, ProtocolError),
+        ({}, {"executor": "many"}, XFreqBenchError),
+        ({"set_": ("width=1",)}, {}, XFreqBenchError),
     ],
 )
 def test_a_dry_run_finds_the_mistakes_of_a_run(
-    dataset: PasDataset, tmp_path: Path, wrong: dict, kind: type[Exception]
+    dataset: PasDataset, tmp_path: Path, wrong: dict, options: dict, kind: type[Exception]
 ) -> None:
-    asked = {"data": dataset.path, "method": "nearest", "dry_run": True}
-    options = {name: wrong.pop(name) for name in wrong.keys() & {"targets_ghz", "executor"}}
-    options = runs.RunArguments(**{"results": tmp_path, "targets_ghz": "77", **options})
+    asked = runs.RunArguments(**{"results": tmp_path, "targets_ghz": "77", **options})
     with pytest.raises(kind):
-        runs.run(**{**asked, **wrong}, options=options)
+        runs.run(**{"data": dataset.path, "method": "nearest", "dry_run": True, **wrong}, options=asked)
 
 
 def test_finished_runs_take_no_time(dataset: PasDataset, tmp_path: Path) -> None:

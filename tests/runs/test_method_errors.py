@@ -71,15 +71,21 @@ ERRORS = (GeneratorExit(), UnheardError(), RuntimeError("half a pair: \udcff"))
 
 
 @pytest.mark.parametrize(
-    ("part", "error"), [*((part, SystemExit(0)) for part in PARTS), *(("fit", error) for error in ERRORS)], ids=repr
+    ("part", "error", "words"),
+    [
+        *((part, SystemExit(0), rf"Leaving' failed in {part} on split .*SystemExit: ") for part in PARTS),
+        *(("fit", error, rf"Leaving' failed in fit on split .*{type(error).__name__}: ") for error in ERRORS),
+        ("count", None, r"Leaving\.num_parameters is nan, a float"),
+        ("text", None, r"Leaving' failed in findings on split .*surrogate"),
+    ],
+    ids=repr,
 )
-def test_whatever_a_method_raises_names_the_method_and_the_part(
-    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, error: BaseException
+def test_whatever_a_method_raises_or_says_that_no_record_can_hold_names_the_method_and_the_part(
+    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, error: BaseException, words: str
 ) -> None:
     monkeypatch.setattr(Leaving, "part", part)
     monkeypatch.setattr(Leaving, "error", error)
     monkeypatch.setattr(checkpoints, "CHECKPOINT_SECONDS", 0.0)
-    words = rf"Leaving' failed in {part} on split .*{type(error).__name__}: "
     with pytest.raises(MethodError, match=words) as raised:
         run_job(lofo_job(dataset, f"{__name__}:Leaving", budget=Budget(max_steps=9)), tmp_path)
     str(raised.value).encode()
@@ -98,22 +104,6 @@ def test_an_interrupted_method_is_no_broken_one(
         monkeypatch.setattr(Leaving, "error", error)
         with pytest.raises(KeyboardInterrupt):
             run_job(lofo_job(dataset, f"{__name__}:Leaving", budget=Budget(max_steps=9), seed=seed), tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("part", "words"),
-    [
-        ("count", r"Leaving\.num_parameters is nan, a float"),
-        ("text", r"Leaving' failed in findings on split .*surrogate"),
-    ],
-)
-def test_what_no_record_can_hold_is_told(
-    dataset: PasDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, words: str
-) -> None:
-    monkeypatch.setattr(Leaving, "part", part)
-    with pytest.raises(MethodError, match=words):
-        run_job(lofo_job(dataset, f"{__name__}:Leaving"), tmp_path)
-    assert not (tmp_path / "records.jsonl").exists()
 
 
 FORKING = """
