@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from xfreqbench.system.signals import interrupted_afterwards
+from xfreqbench.system.processes import interrupted_afterwards
 
 
 def test_an_interruption_within_the_block_is_raised_at_its_end() -> None:

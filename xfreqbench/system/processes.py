@@ -274,6 +274,25 @@ def _interruptions_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
+@contextmanager
+def interrupted_afterwards() -> Iterator[None]:
+    """A block that Ctrl-C does not interrupt: `KeyboardInterrupt` is raised at its end instead.
+
+    Outside of the main thread, which alone is interrupted, it is a block like any other.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heard: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if heard:
+        raise KeyboardInterrupt
+
+
 def _settle(place: Cores, is_alone: bool, environment: Mapping[str, str], writer: Connection | None = None) -> None:
     """Keep this process to its cores, and let it end with its parent, even if the parent is killed."""
     global _messages

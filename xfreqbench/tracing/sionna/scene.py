@@ -17,7 +17,7 @@ from xfreqbench.scene.materials import MaterialPolicy, ScatteringPattern, comple
 from xfreqbench.scene.meshes import SurfaceMesh, shape_ids, slabs_of, write_mitsuba
 from xfreqbench.scene.model import Antenna
 from xfreqbench.scene.patches import mirror_patches
-from xfreqbench.system.signals import interrupted_afterwards
+from xfreqbench.system.processes import interrupted_afterwards
 from xfreqbench.tracing.sionna.llvm import ensure_llvm
 from xfreqbench.types import FloatArray, NDArray
 
