@@ -161,6 +161,7 @@ def run(
     asked: dict[str, Any] = vars(options) | {
         "targets_ghz": parse_targets_ghz(options.targets_ghz),
         "seeds": parse_whole_numbers(as_typed(SEEDS), options.seeds, 0, 10**18 - 1),
+        "executor": options.executor or SERIAL,
     }
     tasks = asked_tasks(data, dict.fromkeys(map(str.strip, method.split(",")), set_), RunOptions(**asked))
     executor = options.executor or usual_executor(tasks)
