@@ -133,7 +133,7 @@ def test_the_commands_hand_out_score_and_say_what_is_missing(
     exchange.score(path, data=Path(dataset.path), results=tmp_path / "results")
     shown = capsys.readouterr().out
     assert "lofo-24.25GHz" in shown and f"{split_file} already holds these splits" in shown
-    assert f"{path} has nothing for lofo-2.4GHz, lofo-77GHz, which its protocol tests too" in shown
+    assert f"{path} has no predictions for lofo-2.4GHz, lofo-77GHz, which its protocol tests too" in shown
     assert "mine (external): a cluster" in shown
     assert "without dataset_sha256" not in shown
 
@@ -171,7 +171,7 @@ def test_a_split_on_validation_is_handed_out_predicted_and_scored_as_its_run_is(
     assert (scored.job.protocol, scored.job.split) == (ran.job.protocol, ran.job.split)
     assert (scored.split_sha256, scored.scores) == (ran.split_sha256, ran.scores)
     missing = "lofo-validation-2.4GHz, lofo-validation-77GHz"
-    assert f"{path} has nothing for {missing}, which its protocol tests too" in capsys.readouterr().out
+    assert f"{path} has no predictions for {missing}, which its protocol tests too" in capsys.readouterr().out
 
 
 def edited(edit):

@@ -82,14 +82,14 @@ print("loaded", sorted({HEAVY!r} & set(sys.modules)))
         ("run --method nearest --results results --data x.h5 --targets x", "--targets takes carriers"),
         (
             "run --method nearest, gsrf --results results --data x.h5",
-            "no place for 'gsrf'. A list has commas and no spaces",
+            "does not take 'gsrf'. A list has commas and no spaces",
         ),
         ("split -o x.h5 --data x.h5 --targets-ghz x", "--targets-ghz takes carriers"),
         ("import nowhere -o x.h5", "There is no folder nowhere."),
         ("vew", 'Did you mean "view"?'),
         ("scenes ofice --toml", "Did you mean 'office'"),
-        ("scenes office", "A name and --toml belong together"),
-        ("scenes --toml", "A name and --toml belong together"),
+        ("scenes office", "A name and --toml need each other"),
+        ("scenes --toml", "A name and --toml need each other"),
     ],
 )
 def test_mistakes_end_with_code_2_and_words(
