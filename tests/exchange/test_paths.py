@@ -196,7 +196,7 @@ def test_a_table_has_powers_and_spreads_of_every_link(both: PasDataset, tmp_path
 
 
 def test_a_table_without_paths_or_power_leaves_them_empty(data: PasDataset, plain: PasDataset, tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"states no transmit power\. Give it, as in received_power_dbm"):
+    with pytest.raises(DataError, match=r"gives no transmit power\. Give it, as in received_power_dbm"):
         received_power_dbm(plain)
     told = xfreqbench("export", plain.path, "-o", tmp_path / "t.csv", "--to", "table")
     assert told.code == 0 and "has no paths, which local means" in told.stdout

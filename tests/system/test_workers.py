@@ -196,7 +196,7 @@ def test_where_memory_runs_out_a_worker_is_killed_and_not_the_process_that_says_
 def test_more_processes_than_memory_holds_are_not_started(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "available_memory_mib", lambda processes: 1000 / processes)
     with pytest.raises(
-        OutOfMemoryError, match=r"Each worker of --executor 40 takes 50 MiB .* 25 MiB are left for each"
+        OutOfMemoryError, match=r"Each worker of --executor 40 needs at least 50 MiB .* 25 MiB are left for each"
     ):
         open_workers("40")
 

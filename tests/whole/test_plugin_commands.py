@@ -101,8 +101,8 @@ def test_a_function_is_a_command_with_the_options_of_its_parameters(installed: P
     [
         ("import no_such_library", "ModuleNotFoundError: No module named 'no_such_library'"),
         ("raise SystemExit(0)", "SystemExit: 0"),
-        ("rooms = 3", "their_rooms:rooms is no function, and no App(name='count-rooms') of cyclopts"),
-        ("from cyclopts import App\nrooms = App(name='other')", "no App(name='count-rooms') of cyclopts"),
+        ("rooms = 3", "their_rooms:rooms is neither a function nor an App(name='count-rooms') of cyclopts"),
+        ("from cyclopts import App\nrooms = App(name='other')", "an App(name='count-rooms') of cyclopts"),
         ("other = 3", "has no attribute 'rooms'"),
     ],
 )

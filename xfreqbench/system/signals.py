@@ -12,7 +12,7 @@ from contextlib import contextmanager
 def interrupted_afterwards() -> Iterator[None]:
     """A block that Ctrl-C does not interrupt: `KeyboardInterrupt` is raised at its end instead.
 
-    Outside of the main thread, which alone is interrupted, it is a block like any other.
+    Outside of the main thread, the only one that is interrupted, it is a block like any other.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
