@@ -1,9 +1,10 @@
-"""Prints how far `xfreq-gs` with its blend is from the best trivial predictor, where data are few: minutes on a core.
+"""Prints the difference of `xfreq-gs` with its blend from the best baseline, with few data: minutes on a core.
 
 `python examples/blend_against_trivial.py 0` takes transmitters of shipped scenes and of two random rooms at the paper's
-carriers. It compares medians of SSIM after a training of 64,000 maps: first at a carrier, after one at other carriers
-of the same transmitters, 60 at most; then in a region of the floor, after one at other places; of several seeds, as in
-`0 1 2`, the mean of their medians. Weights for carriers and transmitters that are far were chosen on such rooms too.
+carriers. It compares medians of SSIM after a training of 64,000 maps: first at a carrier, after a training at other
+carriers of the same transmitters, 60 at most; then in a region of the floor, after a training at other places. For
+several seeds, as in `0 1 2`, it takes the mean of the medians. Weights for far carriers and transmitters were chosen on
+such rooms too.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ CASES = (  # trained on (None: the nine others), tested at, in GHz, and transmit
     ((10,), 24.25, 60),
 )
 REGIONS = ("below the array", "lowest x", "highest x", "lowest y", "highest y")  # a sixth of the transmitters each
-MARGIN_M = 0.5  # around a region, of which nothing is trained on
+MARGIN_M = 0.5  # around a region, without training transmitters
 
 
 def random_room(seed: int) -> xb.Scene:

@@ -1,6 +1,6 @@
 """Makes `blender_room.glb`, a small room as Blender's exporter writes one: python examples/make_blender_room.py
 
-Objects are told in Blender's axes, z upwards, and written with y upwards. Planes and cubes are Blender's, with corners
+Objects are given in Blender's axes, z upwards, and written with y upwards. Planes and cubes are Blender's, with corners
 at ±1, scaled, turned and moved by their nodes; a table hangs from an empty object; copies have names in `.001`.
 """
 

@@ -1,8 +1,8 @@
-"""Makes scene `office_cluttered`: the room of `office`, with what stands in a used office besides desks and cabinets.
+"""Makes scene `office_cluttered`: the room of `office`, with more objects of an office in use than desks and cabinets.
 
 `python examples/make_office_cluttered.py` writes `scenes/office_cluttered.toml` and its meshes. To see what one kind of
 things adds, name a folder and the kinds: `python examples/make_office_cluttered.py FOLDER furniture metal`.
-Sizes are those of usual furniture; what is put at random is drawn by a fixed seed.
+Sizes are those of usual furniture; random positions are drawn with a fixed seed.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def chair(x: float, y: float, faces_deg: float) -> list[trimesh.Trimesh]:
 
 
 def screen(x: float, y: float, faces_deg: float) -> list[trimesh.Trimesh]:
-    """A screen of 24 inches, which is a sheet of metal within, on a foot that stands on a desk."""
+    """A screen of 24 inches, which is a sheet of metal within, on a foot on a desk."""
     foot = rod([-0.03, 0, 0.765], [-0.03, 0, 1.0], 0.015, 8)
     return turned([sheet([0, -0.265, 0.88], [0, 0.265, 1.19]), foot], faces_deg, [x, y, 0])
 

@@ -1,9 +1,9 @@
-"""All errors that a user can do something about, as one tree.
+"""All errors that a user can fix, as one tree.
 
 XFreqBenchError            any of these; its message says what was given, what is allowed and what to do
-├── ArgumentError          a function of Python is given what it cannot use; a `TypeError` too
+├── ArgumentError          a Python function was given an argument that it cannot use; a `TypeError` too
 ├── UnknownNameError       there is no scene, method, material, option or protocol of that name
-├── SceneError             a scene file cannot be read, or describes no valid scene
+├── SceneError             a scene file cannot be read, or is not a valid scene
 │   ├── MaterialBandError  a carrier is outside the band in which a material of the scene is defined
 │   └── PlacementError     the receiver or a transmitter is inside an object, on a surface, or too near to one
 ├── OutputExistsError      the output exists already and holds something else, which is not overwritten
@@ -28,11 +28,11 @@ from typing import Any
 
 
 class XFreqBenchError(Exception):
-    """Something a user can do something about; the message says what was given, what is allowed and what to do."""
+    """An error that a user can fix; the message says what was given, what is allowed and what to do."""
 
 
 class ArgumentError(XFreqBenchError, TypeError):
-    """A function is given an argument that it cannot use."""
+    """A function was given an argument that it cannot use."""
 
 
 def was_interrupted(error: BaseException | None) -> bool:
@@ -54,9 +54,9 @@ _NO_MEMORY = re.compile(
 
 
 def ran_out_of_memory(error: BaseException | None) -> bool:
-    """Whether memory ran out, which libraries say by types of their own and in words; or it was raised because of that.
+    """Whether memory ran out, by the type or the words of an error or of its causes.
 
-    Threads that cannot be started, and libraries that cannot be loaded for want of memory, count.
+    Threads that cannot be started, and libraries that cannot be loaded for lack of memory, count too.
     """
     while error is not None:
         words = " ".join(text for text in error.args if isinstance(text, str))  # its own text may be anybody's code
@@ -66,7 +66,7 @@ def ran_out_of_memory(error: BaseException | None) -> bool:
     return False
 
 
-_OTHER_WORDS = {  # what others say, and the name of it here
+_OTHER_WORDS = {  # common names, and our names for them
     "leave-one-out": "lofo",
     "leave-one-frequency-out": "lofo",
     "random": "random-samples",
@@ -82,7 +82,7 @@ _OTHER_WORDS = {  # what others say, and the name of it here
 
 
 def did_you_mean(given: str, choices: Iterable[str]) -> str:
-    """A question behind an error, as in ` Did you mean 'nearest'?`; empty where nothing is like what was given."""
+    """A question at the end of an error, as in ` Did you mean 'nearest'?`; empty if no choice is similar."""
     known = list(choices)
     meant = _OTHER_WORDS.get(given.lower().replace("_", "-").replace(" ", "-"))
     nearest = [meant] if meant in known else difflib.get_close_matches(given, known, n=1, cutoff=0.4)
@@ -95,7 +95,7 @@ class UnknownNameError(XFreqBenchError):
     def __init__(self, kind: str, given: str, choices: Iterable[str]) -> None:
         known = sorted(filter(None, choices))
         hint = did_you_mean(given, known)
-        advice = f"Choose one of: {', '.join(known)}." if known else "None has a name here: leave it out."
+        advice = f"Choose one of: {', '.join(known)}." if known else "There are none: leave it out."
         super().__init__(f"There is no {kind} {given!r}.{hint} {advice}")
         self._arguments = kind, given, known
 
@@ -104,7 +104,7 @@ class UnknownNameError(XFreqBenchError):
 
 
 class SceneError(XFreqBenchError):
-    """A scene file cannot be read, or describes no valid scene."""
+    """A scene file cannot be read, or is not a valid scene."""
 
 
 class MaterialBandError(SceneError):
@@ -153,12 +153,12 @@ class InUseError(StorageError):
 
 
 class RunsFailedError(XFreqBenchError):
-    """Some of several runs failed; `errors` has the error of each by its name in words. The others are kept."""
+    """Some of several runs failed; `errors` has the error of each by its name. The other runs are kept."""
 
     def __init__(self, errors: Mapping[str, BaseException], num_asked: int) -> None:
         self.errors = dict(errors)
         self._num_asked = num_asked
-        number = f"{len(errors)} of {num_asked} runs failed; run the same again, and they are tried again."
+        number = f"{len(errors)} of {num_asked} runs failed; the same call tries them again."
         super().__init__("\n".join([number, *self.lines]))
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -1,4 +1,4 @@
-"""Types that every floor shares."""
+"""Types that every layer shares."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NDArray = np.ndarray[
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Maps = NDArray[np.float32]  # (n, E, A), linear power in [0, 1], peak 1
-ProgressCallback = Callable[[int, int], None]  # is told how many are done, and how many there are
+ProgressCallback = Callable[[int, int], None]  # is called with the number that are done, and of all
 
 
 def ignore_progress(done: int, total: int) -> None:

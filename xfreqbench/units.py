@@ -1,4 +1,4 @@
-"""Physical constants, and the one place where texts become numbers and gigahertz become hertz."""
+"""Physical constants, and the only place where texts become numbers and gigahertz become hertz."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def parse_number(text: str, kind: type[Number] = float) -> Number:  # type: igno
 def ghz_to_hz(carrier_ghz: float) -> float:
     """Carrier in hertz, rounded to the hertz so that 24.25 GHz is the same number everywhere.
 
-    Raises `ValueError` for a carrier below a hertz or not finite, and for one above `MAX_CARRIER_GHZ`, which was in all
-    likelihood given in another unit.
+    Raises `ValueError` for a carrier below a hertz or not finite, and for one above `MAX_CARRIER_GHZ`, which was
+    probably given in another unit.
     """
     if not 1e-9 <= carrier_ghz < inf:
         raise ValueError(f"a carrier in GHz is a number above 0, as in 24.25, and not {carrier_ghz:g}")

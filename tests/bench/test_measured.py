@@ -67,7 +67,7 @@ def test_what_was_traced_in_a_scene_is_explained_by_it_up_to_an_offset(tmp_path:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds no position"),
+        ("", "has no position"),
         ("x,y,z,2\n1,2,3,4\n", "0 columns for receiver north; its columns are x, y, z, 2. Name one north"),
         ("x,y,north,2\n1,2,3,4\n", "not one each for x and y and z"),
         ("x,y,z,north,2,rssi_2\n1,2,3,4,5,6\n", "2 columns for receiver 2"),
@@ -150,7 +150,7 @@ def test_a_scene_may_have_several_receivers_of_which_a_data_set_has_one() -> Non
     text = 'name = "two"\n' + text + "[transmitters]\nmin_m = [2, 2, 1]\nmax_m = [2, 2, 1]\nstep_m = [1, 1, 1]\n"
     assert len(parse_scene(text.format('name = "a"', 'name = "b"')).receivers) == 2
     for names, message in (
-        (('name = "a"', ""), "each needs a name"),
+        (('name = "a"', ""), "each of several receivers needs"),
         (('name = "a"',) * 2, "two receivers are named 'a'"),
     ):
         with pytest.raises(SceneError, match=message):

@@ -90,7 +90,7 @@ def test_batches_without_a_marker_are_refused(tmp_path: Path, left_by_other: Pat
     """A removal that was killed left such a folder, and every job took it for its own."""
     folder = shutil.copytree(left_by_other, tmp_path / "rooms.h5.parts")
     (folder / "job.json").unlink()
-    with pytest.raises(OutputExistsError, match=r"no folder of unfinished batches"):
+    with pytest.raises(OutputExistsError, match=r"not a folder of batches"):
         generate_planned(OURS, tmp_path / "rooms.h5")
     assert len(list(folder.glob("*.npz"))) == 2
 

@@ -95,7 +95,7 @@ def test_damaged_missing_and_other_data_sets_are_named(collection: Collection, t
 @pytest.mark.parametrize(
     ("change", "error", "words"),
     [
-        (lambda c: open_collection(c.path / "000"), DataError, "holds no collection.json"),
+        (lambda c: open_collection(c.path / "000"), DataError, "has no collection.json"),
         (lambda c: c.part("other"), ArgumentError, "'train', 'validation', 'test' or 'other-type'"),
         (lambda c: c.select("offices"), UnknownNameError, "Did you mean 'office'"),
         (lambda c: c.select(num_rooms=4), ArgumentError, "there are 3"),

@@ -108,7 +108,7 @@ def test_maps_that_came_without_channels_are_kept_on_their_grid(tmp_path: Path) 
     np.testing.assert_array_equal(np.flatnonzero(~dataset.has_path), [5])
     np.testing.assert_array_equal(dataset.tables["num_paths"].flat[dataset.rows], [-1, -1, -1, -1, -1, 0])
     assert not dataset.header.channels
-    with pytest.raises(DataError, match="maps alone"):
+    with pytest.raises(DataError, match="maps, but no channels"):
         _ = dataset[[1]].cfr
     view = isolated(dataset[[1, 3]])
     np.testing.assert_allclose(view.pas(), maps[[1, 3]], atol=PACKED_STEP)

@@ -145,7 +145,7 @@ def test_a_wall_that_is_moved_by_a_millimetre_is_found_out(usual: PasDataset, tm
     words = f"run --data {forged.path} --method nearest --protocol held-out-tx --results {tmp_path / 'results'}"
     refused = xfreqbench(*words.split())
     assert refused.code == 2
-    assert "where 0.001 is allowed" in refused.message and "Generate them again" in refused.message
+    assert "; 0.001 is allowed" in refused.message and "Generate them again" in refused.message
 
 
 def test_at_every_carrier_the_wall_is_found_out_and_a_single_lost_path_is_none(

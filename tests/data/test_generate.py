@@ -105,7 +105,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     _, message = process.communicate()
     assert process.returncode == 130
-    assert "the same command goes on" in message
+    assert "the same command continues" in message
     assert "Traceback" not in message
     assert not path.exists()
 

@@ -80,7 +80,7 @@ def test_samples_are_counted_as_elsewhere(stored: PasDataset) -> None:
 
 
 def test_a_method_is_not_shown_paths_which_tell_of_other_carriers(stored: PasDataset) -> None:
-    with pytest.raises(DataError, match=r"rooms\.h5 is shown to methods without its paths"):
+    with pytest.raises(DataError, match=r"rooms\.h5 is given to methods without its paths"):
         isolated(stored[[0, 2]]).paths(0)
 
 
@@ -125,7 +125,7 @@ def test_other_paths_than_the_scenes_are_found_out(tmp_path: Path, monkeypatch: 
 def test_diffuse_paths_are_refused_before_anything_is_traced() -> None:
     rough = replace(load_scene("two_rooms"), material=(SceneMaterial("concrete", scattering=Scattering(0.3)),))
     settings = TraceSettings("sionna", ("specular", "diffuse"), rays=1000)
-    with pytest.raises(XFreqBenchError, match="Leave out --paths or --solver sionna"):
+    with pytest.raises(XFreqBenchError, match="Leave out --paths, --solver sionna, or"):
         plan_with_paths(scene=rough, settings=settings)
 
 
@@ -139,8 +139,8 @@ def test_diffuse_paths_are_refused_before_anything_is_traced() -> None:
         ("gain", lambda values: values * np.nan, "not finite"),
         ("interaction_offset", lambda values: values[::-1], "offsets that do not ascend"),
         ("interaction_offset", lambda values: values + 10**9, "offsets that do not ascend"),
-        ("surface", lambda values: values + 1000, "surfaces that are not there"),
-        ("interaction", lambda values: values + 2, "codes that stand for no interaction"),
+        ("surface", lambda values: values + 1000, "surfaces that do not exist"),
+        ("interaction", lambda values: values + 2, "codes of unknown interactions"),
     ],
 )
 def test_nonsense_is_refused_by_name(

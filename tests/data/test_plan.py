@@ -111,7 +111,7 @@ def test_what_does_not_fit_into_memory_is_refused(
     solver: SolverName, left_mib: float, needed: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(machine, "available_memory_mib", lambda processes: left_mib)
-    words = rf"triangles of scene 'office' with 500,000 rays takes {needed} MiB of memory at least. .*simpler meshes"
+    words = rf"triangles of scene 'office' with 500,000 rays needs at least {needed} MiB of memory. .*simpler meshes"
     with pytest.raises(OutOfMemoryError, match=words):
         plan_generation(load_scene("office"), CARRIERS_HZ, TraceSettings(solver))
 

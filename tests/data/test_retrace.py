@@ -94,7 +94,7 @@ def test_info_traces_samples_again(traced: PasDataset) -> None:
 
 def test_without_its_meshes_nothing_can_be_traced(traced: PasDataset) -> None:
     other = replace(traced, header=replace(traced.header, scene_sha256="0" * 64))
-    with pytest.raises(SceneError, match="not those that the data were traced among"):
+    with pytest.raises(SceneError, match="not those that the data were traced with"):
         require_origin(other, np.zeros(1, int))
 
 

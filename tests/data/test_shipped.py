@@ -75,7 +75,7 @@ def test_what_is_fetched_afresh_does_not_go_on_from_the_old(server: Server) -> N
 def test_a_flipped_byte_is_refused_and_not_kept(server: Server, tmp_path: Path) -> None:
     known = hashlib.sha256(server.content).hexdigest()
     server.content = server.content[:900_000] + bytes([server.content[900_000] ^ 1]) + server.content[900_001:]
-    for sha256, told in ((known, "not the file that was asked for"), (None, "differs from its sha256")):
+    for sha256, told in ((known, "not the expected file"), (None, "differs from its sha256")):
         with pytest.raises(DataError, match=told):
             xb.fetch(server.url, sha256)
         assert not list((tmp_path / "xfreqbench").iterdir())
@@ -95,5 +95,5 @@ def test_what_is_registered_is_fetched_by_its_name_and_then_loaded(
 
 
 def test_an_address_where_nothing_answers_is_an_error_of_ours(server: Server) -> None:
-    with pytest.raises(DataError, match=r"cannot be fetched.*goes on from there"):
+    with pytest.raises(DataError, match=r"cannot be downloaded.*continues from where"):
         xb.fetch("http://127.0.0.1:9/office.h5")

@@ -122,7 +122,11 @@ def test_sparse_serves_the_splits_whose_carriers_there_are(tmp_path: Path) -> No
         ({"num_tx": 1, "silent": ((0, 1),)}, ("lofo", [10]), "0 to test on"),
         ({"num_tx": 1}, ("held-out-tx",), "0 samples to train on"),
         ({}, ("held-out-tx", [10]), "'held-out-tx' has no targets to choose"),
-        ({"num_tx": 12}, ("lofo", [10], "validation"), r"'lofo-validation-10GHz' .* 3 or more, but they are 1, 37 GHz"),
+        (
+            {"num_tx": 12},
+            ("lofo", [10], "validation"),
+            r"'lofo-validation-10GHz' .* 3 of them or more, but they are 1, 37 GHz",
+        ),
         ({"num_tx": 11}, ("held-out-tx", None, "validation"), r"transmitters, .* be 10 or more, but there are 9\. G"),
     ],
 )

@@ -198,7 +198,7 @@ def test_a_subset_has_statistics_of_its_own_samples(rooms: PasDataset) -> None:
     assert {row["carrier_ghz"] for row in own.rows} == {rooms.header.carrier_hz[last] / 1e9}
     np.testing.assert_array_equal(own.links.path_loss_db[:, 0], statistics(rooms).links.path_loss_db[:, last])
     assert statistics(rooms[[0]]).links.tx_index.tolist() == [0]
-    with pytest.raises(DataError, match="shown to methods without its paths"):
+    with pytest.raises(DataError, match="given to methods without its paths"):
         statistics(isolated(rooms))
 
 

@@ -241,7 +241,7 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
     (tmp_path / "mine" / "notes.txt").write_text("mine")
     (tmp_path / "file").write_text("mine")
     for output in ("mine", "file"):
-        with pytest.raises(OutputExistsError, match="no empty folder"):
+        with pytest.raises(OutputExistsError, match="not an empty folder"):
             export_png_folder(path, tmp_path / output, CONVENTIONS["wideband3dgs"])
     assert [entry.name for entry in (tmp_path / "mine").iterdir()] == ["notes.txt"]
     assert (tmp_path / "file").read_text() == "mine"
@@ -293,7 +293,7 @@ def test_the_commands_bring_a_folder_in_and_out(tmp_path: Path) -> None:
     assert "wrote" in brought_in.stdout
     assert "(2 maps)" in xfreqbench(*export).stdout
     again = xfreqbench(*export)
-    assert again.code == 2 and "no empty folder" in again.stderr
+    assert again.code == 2 and "not an empty folder" in again.stderr
     table = xfreqbench("import", "--conventions").stdout
     assert all(name in table for name in [*CONVENTIONS, "spacing_wavelengths"])
     np.testing.assert_array_equal(levels_of(tmp_path / "out", 2), levels_of(tmp_path / "first", 2))

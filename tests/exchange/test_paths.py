@@ -196,10 +196,10 @@ def test_a_table_has_powers_and_spreads_of_every_link(both: PasDataset, tmp_path
 
 
 def test_a_table_without_paths_or_power_leaves_them_empty(data: PasDataset, plain: PasDataset, tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"states no transmit power\. Give it, as in received_power_dbm"):
+    with pytest.raises(DataError, match=r"gives no transmit power\. Give it, as in received_power_dbm"):
         received_power_dbm(plain)
     told = xfreqbench("export", plain.path, "-o", tmp_path / "t.csv", "--to", "table")
-    assert told.code == 0 and "holds no paths, of which local means" in told.stdout
+    assert told.code == 0 and "has no paths, which local means" in told.stdout
     table = pandas.read_csv(tmp_path / "t.csv")
     spreads = [f"{end}_{angle}_spread_deg" for end in ("arrival", "departure") for angle in ("azimuth", "zenith")]
     known = ["receiver", "received_power_dbm", "local_mean_db", "num_paths", "k_factor_db", "delay_spread_ns"]
@@ -214,7 +214,7 @@ def test_the_command_says_what_it_needs(data: PasDataset, plain: PasDataset, tmp
     for words, refusal in (
         (("--to", "sionna-npz", "--convention", "nerf2"), "leave out --convention"),
         (("--to", "sionna-npz", "--set", "plane=yz"), "--set changes a convention of maps"),
-        (("--to", "deepmimo", "--power-dbm", "20"), "--power-dbm is about a table"),
+        (("--to", "deepmimo", "--power-dbm", "20"), "--power-dbm is for a table"),
         ((), "give --convention"),
     ):
         outcome = xfreqbench("export", data.path, "-o", tmp_path / "other", *words)

@@ -133,7 +133,7 @@ def test_the_commands_hand_out_score_and_say_what_is_missing(
     exchange.score(path, data=Path(dataset.path), results=tmp_path / "results")
     shown = capsys.readouterr().out
     assert "lofo-24.25GHz" in shown and f"{split_file} already holds these splits" in shown
-    assert f"{path} has nothing for lofo-2.4GHz, lofo-77GHz, which its protocol tests too" in shown
+    assert f"{path} has no predictions for lofo-2.4GHz, lofo-77GHz, which its protocol tests too" in shown
     assert "mine (external): a cluster" in shown
     assert "without dataset_sha256" not in shown
 
@@ -171,7 +171,7 @@ def test_a_split_on_validation_is_handed_out_predicted_and_scored_as_its_run_is(
     assert (scored.job.protocol, scored.job.split) == (ran.job.protocol, ran.job.split)
     assert (scored.split_sha256, scored.scores) == (ran.split_sha256, ran.scores)
     missing = "lofo-validation-2.4GHz, lofo-validation-77GHz"
-    assert f"{path} has nothing for {missing}, which its protocol tests too" in capsys.readouterr().out
+    assert f"{path} has no predictions for {missing}, which its protocol tests too" in capsys.readouterr().out
 
 
 def edited(edit):
@@ -234,22 +234,22 @@ REFUSED = {
     "absent": (lambda path: path.unlink(), "There is no file"),
     "empty": (edited(lambda file: [file.pop(name) for name in SPLITS]), "is empty"),
     "group": (edited(lambda file: file.move("lofo-77GHz", "lofo-77")), r"Did you mean 'lofo-77GHz'"),
-    "no group": (edited(lambda file: file.create_dataset("lofo-37GHz", data=[1])), "is no group"),
-    "soft link": (edited(lambda file: file.update({"lofo-37GHz": h5py.SoftLink("/lofo-77GHz")})), "is no group"),
+    "not a group": (edited(lambda file: file.create_dataset("lofo-37GHz", data=[1])), "is not a group"),
+    "soft link": (edited(lambda file: file.update({"lofo-37GHz": h5py.SoftLink("/lofo-77GHz")})), "is not a group"),
     "root too": (edited(lambda file: file.create_dataset("pas", data=[1])), "at its root and group"),
     "no maps": (edited(lambda file: file.move("lofo-77GHz/pas", "lofo-77GHz/PAS")), "it holds PAS"),
     "maps a group": (
         edited(lambda file: in_place_of_the_maps(file).create_group("pas")),
-        "'pas' is a link, no dataset, or",
+        "'pas' is a link, not a dataset, or",
     ),
     "link": (
         elsewhere(lambda group, other: group.update(pas=h5py.ExternalLink(other.name, "lofo-77GHz/pas"))),
-        "'pas' is a link, no dataset, or",
+        "'pas' is a link, not a dataset, or",
     ),
-    "virtual": (elsewhere(put_virtual), "'pas' is a link, no dataset, or"),
+    "virtual": (elsewhere(put_virtual), "'pas' is a link, not a dataset, or"),
     "backwards": (maps(lambda each: each.T), r"\(360, 90, 5\).*permute\(pas, \[3 2 1\]\)"),
     "rows": (maps(lambda each: each[:4]), r"shape \(4, 90, 360\), but 5 test rows need \(5, 90, 360\)"),
-    "chunk": (edited(in_a_chunk_of_gigabytes), "'pas' is .* in chunks far larger than all of it"),
+    "chunk": (edited(in_a_chunk_of_gigabytes), "'pas' is .* in chunks far larger than its data"),
     "scalar": (maps(lambda each: 1.0), r"shape \(\)"),
     "complex": (maps(lambda each: each.astype(complex)), "real numbers"),
     "texts": (maps(lambda each: np.full(each.shape, b"1")), "real numbers"),
@@ -311,7 +311,7 @@ def test_maps_with_coordinates_in_another_order_are_refused(
     dataset: PasDataset, split_file: Path, predictions: Path, name: str, change
 ) -> None:
     with_coordinates(predictions, split_file, change, name)
-    with pytest.raises(DataError, match=rf"'lofo-77GHz': '{name}' is not that of the split file, so that maps would"):
+    with pytest.raises(DataError, match=rf"'lofo-77GHz': '{name}' is not that of the split file, so maps would"):
         read_parts(predictions, dataset, None)
 
 

@@ -79,7 +79,7 @@ def test_training_maps_come_along_where_they_are_asked_for(dataset: PasDataset, 
 
 
 def test_maps_that_another_split_tests_are_not_handed_out(dataset: PasDataset, tmp_path: Path) -> None:
-    with pytest.raises(ProtocolError, match=r"'lofo-2\.4GHz' hands out maps that 'lofo-24\.25GHz' tests"):
+    with pytest.raises(ProtocolError, match=r"'lofo-2\.4GHz' contains maps that 'lofo-24\.25GHz' tests"):
         hand_out(dataset, tmp_path / "split.h5", maps=True)
     for protocol in ("sparse", "held-out-tx", "lofo-unseen-tx"):
         hand_out(dataset, tmp_path / f"{protocol}.h5", protocol, maps=True)

@@ -192,7 +192,7 @@ def test_a_name_that_no_record_can_hold_is_told_before_the_first_fit(dataset: Pa
         lambda: score_file(dataset.path, path, results),
         lambda: Benchmark("quick", path, results),
     ):
-        with pytest.raises(StorageError, match=r"udce9.*' is no UTF-8, and a record cannot hold it\. Rename it"):
+        with pytest.raises(StorageError, match=r"udce9.*' is not UTF-8, and a record cannot hold it\. Rename it"):
             refused()
     assert not results.exists()
 

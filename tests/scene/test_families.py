@@ -81,7 +81,7 @@ def test_a_family_is_no_scene_and_ships_with_its_schema() -> None:
         ('outlines = ["rectangle", "L", "L", "niche"]', 'outlines = ["M"]', "names outline 'M'"),
         ('{piece = "bed", number = [0, 2]}', '{piece = "bath", number = [0, 2]}', "names piece of furniture 'bath'"),
         ("length_m = [4.0, 7.5]", "length_m = [7.5, 4.0]", r"type.3.length_m: .*\[7.5, 4.0\] descends"),
-        ("faces = [[0, 1, 2, 3]]", "faces = [[0, 1, 2, 4]]", "names a vertex that there is not"),
+        ("faces = [[0, 1, 2, 3]]", "faces = [[0, 1, 2, 4]]", "names a vertex that does not exist"),
         ("share = 0.35", "share = 0.35\nlenght_m = [1, 2]", "lenght_m"),
         ("spans = {b = [0.7, 0.95]}", "spans = {a = [0.7, 0.95]}", "has no span 'b'"),
     ],

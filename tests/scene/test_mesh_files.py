@@ -209,7 +209,7 @@ def test_unknown_extensions_of_a_glb_are_refused_unless_they_are_about_looks_alo
     compressed_too = {"extensions": {"KHR_draco_mesh_compression": {"bufferView": 7}}}
     assert meshes_of(tmp_path, "looks.glb", changed_square([], known, primitive=compressed_too, **look))
     for change in ({"node": strange}, {"mesh": strange}, {"primitive": strange}, {"extensionsRequired": ["ACME_bend"]}):
-        with pytest.raises(SceneError, match="it uses ACME_bend, of which nothing is read here; export it without"):
+        with pytest.raises(SceneError, match="it uses ACME_bend, which cannot be read; export it without"):
             meshes_of(tmp_path, "bent.glb", changed_square([], change.pop("node", {}), **change))
 
 
@@ -225,12 +225,12 @@ INDEX = {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"}
         ({"extensionsRequired": [DRACO]}, "export it without compression"),
         ({"buffers": [{"uri": "../other.bin", "byteLength": 9}]}, "geometry is in another file"),
         ({"nodes": [{"mesh": 0, "skin": 0}]}, "skinned"),
-        ({"nodes": [{"children": [0]}]}, "stands in two places"),
-        ({"nodes": [{"children": [1, 1]}, {"mesh": 0}]}, "stands in two places"),
+        ({"nodes": [{"children": [0]}]}, "is in two places"),
+        ({"nodes": [{"children": [1, 1]}, {"mesh": 0}]}, "is in two places"),
         ({"nodes": [{"mesh": 7}]}, "cannot be read"),
         ({"accessors": [ACCESSOR | {"count": 10**9}, INDEX]}, "cannot be read"),
         ({"accessors": [ACCESSOR | {"count": -1}, INDEX]}, "no sound size"),
-        ({"accessors": [ACCESSOR | {"type": "VEC2"}, INDEX]}, "no position"),
+        ({"accessors": [ACCESSOR | {"type": "VEC2"}, INDEX]}, "not a position"),
         ({"accessors": [EMPTY, INDEX]}, "sparse or empty"),
         ({"bufferViews": [VIEW | {"byteStride": 0}, VIEW]}, "sound size"),
         ({"bufferViews": [VIEW | {"byteOffset": 10**9}, VIEW]}, "cannot be read"),
@@ -241,7 +241,7 @@ INDEX = {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"}
         ({"nodes": [{"mesh": 0, "scale": [1e308] * 3, "translation": [1e308] * 3}]}, "not finite, or beyond"),
         ({"materials": []}, "cannot be read"),
         ({"meshes": [{"primitives": [{"attributes": {}}]}]}, "it lacks 'POSITION'"),
-        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 1}]}]}, "holds no triangles"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 1}]}]}, "has no triangles"),
         ({"materials": [{"name": "Oak"}]}, r"node 'mesh 0': material 'Oak' is not an ITU material"),
     ],
 )  # fmt: skip
@@ -281,7 +281,7 @@ def test_a_glb_that_is_cut_or_nests_without_end_is_refused(tmp_path: Path) -> No
         ("v 0 0 0\nv 1 0 0\nf 1 2 3\n", "line 3 is not a vertex, nor a face"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl itu_wood\nf 1 2 3\nf 1 2", "line 6 is not a vertex, nor a face of three"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nsurf 0 1 0 1 1 2 3\n", "line 4 is 'surf', of which nothing is read"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nsurf 0 1 0 1 1 2 3\n", "line 4 is 'surf', which cannot be read"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "faces without a material"),
         ("usemtl itu_wood\nv 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face of any area"),
         ("v 1e400 0 0\nv 1 0 0\nv 0 1 0\nusemtl itu_wood\nf 1 2 3\n", "line 1 is not a vertex"),
@@ -404,7 +404,7 @@ def test_a_room_of_any_format_that_lies_on_its_side_is_noticed(
 ) -> None:
     turn, read, right = (UPRIGHT, "y", "z") if suffix == "glb" else (Y_UP, "z", "y")
     scene = scene_of_file(tmp_path, saved(tmp_path, suffix, mesh, turn))
-    with pytest.raises(SceneError, match=rf"read with {read} upwards.* if {right} were up. Say which is right"):
+    with pytest.raises(SceneError, match=rf"read with {read} upwards.* if {right} were up. Choose with up"):
         surface_meshes(scene)
     assert surface_meshes(replace(scene, up=read))  # it was said
     assert surface_meshes(scene_of_file(tmp_path, saved(tmp_path, suffix, mesh, Y_UP if suffix == "glb" else UPRIGHT)))

@@ -184,7 +184,7 @@ def test_a_material_may_have_a_permittivity_and_conductivity_of_its_own(folder: 
     assert low.real == high.real == 4.5
     assert low.imag == pytest.approx(300 * high.imag)  # σ/(2πf ε₀), with one σ
     for numbers, words in (
-        ("", "states no relative_permittivity"),
+        ("", "has no relative_permittivity"),
         (stated.replace("4.5", "0.5"), r"relative_permittivity of material 'foam' is '0\.5'"),
         (stated.replace("4.5", "4_5"), r"relative_permittivity of material 'foam' is '4_5'\. Give a number from 1 to"),
         (stated.replace("0.02", "1e300"), r"conductivity of material 'foam' is '1e300'\. Give a number from 0 to 1e"),
@@ -303,7 +303,7 @@ def test_defaults_that_double_at_every_step_are_refused(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("elements", "message"),
     [
-        ([WOOD], "holds no <shape>"),
+        ([WOOD], "has no <shape>"),
         ([WOOD, shape("cylinder")], "world coordinates"),
         ([WOOD, shape("instance")], "is a 'instance'"),
         ([WOOD, file_shape("meshes/table.ply", material="")], "refers to no material"),

@@ -128,8 +128,8 @@ def test_a_receiver_inside_an_object_names_it() -> None:
 @pytest.mark.parametrize(
     ("tx_m", "words"),
     [
-        ([[0.2, 0.2, 1.0], [2.0, 2.0, 0.5]], "Transmitter 1 stands inside 'cabinet'"),
-        ([[0.5, 0.5, -0.095]], r"Transmitter 0 stands 5\.0 mm from a surface"),
+        ([[0.2, 0.2, 1.0], [2.0, 2.0, 0.5]], "Transmitter 1 is inside 'cabinet'"),
+        ([[0.5, 0.5, -0.095]], r"Transmitter 0 is 5\.0 mm from a surface"),
         ([[np.nan, 0.5, 1.0]], "finite"),
         (np.zeros((0, 3)), "at least one"),
     ],
@@ -206,7 +206,7 @@ def test_an_array_on_both_sides_of_a_wall_is_refused() -> None:
     scene = load_scene("flat")
     scene, meshes = replace(scene, receiver=scene.receivers[3], other_receivers=()), surface_meshes(scene)
     check_receiver(scene, meshes, 10e9)
-    with pytest.raises(PlacementError, match="'4': at 1 GHz a surface stands between"):
+    with pytest.raises(PlacementError, match="'4': at 1 GHz a surface is between"):
         check_receiver(scene, meshes, 1e9)
 
 
@@ -245,8 +245,12 @@ def test_of_very_many_faults_some_are_named_and_keys_of_very_many_parts_are_not_
         ('name = "floor"', 'name = "cabinet"', "two surfaces are named 'cabinet'"),
         ("position_m = [2.0, 2.0, 2.5]", "position_m = [2.0, inf, 2.5]", "finite"),
         ("[receiver]", "[receiver", "not TOML"),
-        ('name = "box"', 'name = "box"\nunit = "mm"', "'unit' is about the meshes of a file, but the scene names none"),
-        ('name = "box"', 'name = "box"\nup = "y"', "'up' is about the meshes of a file"),
+        (
+            'name = "box"',
+            'name = "box"\nunit = "mm"',
+            "'unit' is for the meshes of a file, but the scene names no file",
+        ),
+        ('name = "box"', 'name = "box"\nup = "y"', "'up' is for the meshes of a file"),
     ],
 )
 def test_scenes_that_mean_nothing_are_refused(old: str, new: str, message: str) -> None:

@@ -136,7 +136,10 @@ def test_a_polygon_of_a_scene_covers_what_it_encloses(name: str) -> None:
             "[1, 0.7, 0], [1, 8, 0], [8, 8, 0], [8, 1, 0], [0, 1, 0]]",
             "polygon of surface 'gable' crosses itself",
         ),
-        ("vertices_m = [[0, 0, 0], [1, 0, 0], [1, 1, 0.01], [0, 1, 0]]", r"lies 2\.5 mm off its plane, and 1 mm is"),
+        (
+            "vertices_m = [[0, 0, 0], [1, 0, 0], [1, 1, 0.01], [0, 1, 0]]",
+            r"corner is 2\.5 mm off its plane, and at most 1 mm",
+        ),
         ("min_m = [0, 0, 0]", "surface 'gable' needs either min_m and max_m, or vertices_m, and not both"),
         ("", "surface 'gable' needs either min_m and max_m, or vertices_m, and not both"),
         (

@@ -61,11 +61,11 @@ def test_a_room_and_what_is_in_it_may_be_one_mesh(tmp_path: Path) -> None:
     scene = scene_with(tmp_path, WOOD, file_shape("all.ply"))
     meshes = surface_meshes(scene)
     assert len(objects_of(scene, meshes)) == 2
-    with pytest.raises(PlacementError, match="Receiver array point 0 stands inside 's'"):
+    with pytest.raises(PlacementError, match="Receiver array point 0 is inside 's'"):
         check_receiver(scene, meshes, 10e9)
     aside = replace(scene, receiver=replace(scene.receiver, position_m=(1.0, 3.0, 1.5)))
     check_receiver(aside, meshes, 10e9)
-    with pytest.raises(PlacementError, match="Transmitter 0 stands inside 's'"):
+    with pytest.raises(PlacementError, match="Transmitter 0 is inside 's'"):
         check_transmitters(aside, meshes, np.array([[2.5, 1.5, 0.4]]), [10e9])
 
 
@@ -76,7 +76,7 @@ def test_the_space_between_walls_of_two_shells_is_free(tmp_path: Path) -> None:
     (inner + trimesh.creation.box(bounds=[[-0.2] * 3, [5.2, 4.2, 3.2]])).export(tmp_path / "solid.ply")
     scene = scene_with(tmp_path, WOOD, file_shape("solid.ply"))
     check(scene)
-    with pytest.raises(PlacementError, match="Transmitter 0 stands inside 's'"):
+    with pytest.raises(PlacementError, match="Transmitter 0 is inside 's'"):
         check_transmitters(scene, surface_meshes(scene), np.array([[-0.1, 2.0, 1.0]]), [10e9])
 
 
@@ -141,7 +141,7 @@ def test_who_stands_outside_of_everything_is_asked_about(tmp_path: Path) -> None
         with pytest.raises(PlacementError, match=r"Every transmitter .* outside of all meshes"):
             plan_generation(asked, [10e9], tx_positions=tx_m)
     some = plan_generation(scene, [10e9], tx_positions=np.array([[7.0, 3.0, 1.5], [4.0, 3.0, 1.5]]), maps=False)
-    assert some.summary.endswith("; 1 transmitters stand outside")
+    assert some.summary.endswith("; 1 transmitters are outside")
 
 
 @pytest.mark.parametrize("scale", [1000.0, 100.0, -100.0])
@@ -192,7 +192,7 @@ def test_the_plan_names_panes_that_nothing_passes(tmp_path: Path) -> None:
 def test_the_plan_names_objects_that_nearly_lie_in_one_plane(apart_m: float, told: str) -> None:
     wall, copy = box("wall", [2.5, 0.5, 0.5], [2.6, 2, 2]), box("copy", [2.6 + apart_m, 0.6, 0.6], [2.7, 1.9, 1.9])
     summary = plan_generation(scene_of(ROOM, wall, copy), [10e9]).summary
-    assert f"\n'wall' and 'copy' lie {told} apart at" in summary if told else "apart" not in summary
+    assert f"\n'wall' and 'copy' are {told} apart at" in summary if told else "apart" not in summary
 
 
 def test_the_plan_says_what_of_meshes_mirrors(tmp_path: Path) -> None:

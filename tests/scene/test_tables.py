@@ -62,8 +62,8 @@ def test_columns_are_found_by_their_names_or_are_three_of_numbers(tmp_path: Path
         ("1_0,2,3\n", "line 1, has '1_0' in column 1, which is not a finite number"),
         ("x,y,z\n1,nan,3\n", "line 2, has 'nan' in column y"),
         ("1,2,1e308\n", "line 1, has '1e308' in column 3, which is not a finite number .* up to 1e"),
-        ("x,y,z\n", "holds no position"),
-        ("", "holds no position"),
+        ("x,y,z\n", "has no position"),
+        ("", "has no position"),
     ],
 )
 def test_what_can_be_read_in_two_ways_is_refused(tmp_path: Path, text: str, told: str) -> None:

@@ -121,8 +121,8 @@ def test_sionna_is_given_own_materials_as_they_are(tmp_path: Path) -> None:
     [
         ('name = "foam"', "no ITU-R P.2040 material 'foam'"),
         ('name = "foam"\nitu = "fom"', "no ITU-R P.2040 material 'fom'"),
-        ('name = "foam"\nconductivity_s_m = 1.0', "state its relative_permittivity too"),
-        ('name = "foam"\nitu = "wood"\nrelative_permittivity = 2.0', "state one of them"),
+        ('name = "foam"\nconductivity_s_m = 1.0', "give its relative_permittivity too"),
+        ('name = "foam"\nitu = "wood"\nrelative_permittivity = 2.0', "give one of them"),
         ('name = "foam"\nrelative_permittivity = 0.5', "greater than or equal to 1"),
         ('name = "foam"\nrelative_permittivity = nan', "material.0.relative_permittivity"),
         ('name = "foam"\nitu = "wood"\n[[material]]\nname = "foam"\nitu = "wood"', "two materials are named 'foam'"),
@@ -192,7 +192,7 @@ def test_a_plan_tells_how_a_scene_scatters() -> None:
     scene = parse_scene(f'name = "test"\n{PLACES}{table}{FOAM.replace("foam", "wood")}')
     without = plan_generation(scene, [1e9], maps=False)
     assert without.settings.solver == "image"
-    assert "scattering: wood (S 0.3, directive), of which the interaction diffuse is not traced" in without.summary
+    assert "scattering: wood (S 0.3, directive), but the interaction diffuse is not traced" in without.summary
     settings = TraceSettings(interactions=("specular", "diffuse"), rays=1000)
     traced = plan_generation(scene, [1e9], settings, maps=False)
     assert "scattering: wood (S 0.3, directive)\n" in traced.summary + "\n"

@@ -196,7 +196,7 @@ def test_a_driver_that_ends_leaves_the_cluster_usable_and_its_command_goes_on(
         driver.send_signal(sent)
         _, message = driver.communicate()
     assert driver.returncode == (130 if sent == signal.SIGINT else -signal.SIGKILL)
-    assert ("the same command goes on" in message) == (sent == signal.SIGINT)
+    assert ("the same command continues" in message) == (sent == signal.SIGINT)
     assert "Traceback" not in message
     kept = {part: part.stat().st_mtime_ns for part in tmp_path.glob("rooms.h5.parts/*.npz")}
     assert kept
@@ -416,7 +416,7 @@ def test_a_scheduler_that_dies_ends_the_driver_in_words(tmp_path: Path) -> None:
             _, message = driver.communicate()
     assert driver.returncode == 2, message
     assert "The scheduler at dask://127.0.0.1:" in message
-    assert "the same command goes on" in message
+    assert "the same command continues" in message
     assert "Traceback" not in message
     assert list(tmp_path.glob("rooms.h5.parts/*.npz"))
 

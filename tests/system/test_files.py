@@ -108,7 +108,7 @@ def test_what_others_write_in_the_meantime_stays(tmp_path: Path) -> None:
     write_text(path, "new caf\udce9.h5")  # the name of a file that is no UTF-8
     assert path.read_text() == "new caf\\udce9.h5"
     folder = tmp_path / "folder"
-    with pytest.raises(OutputExistsError, match="is no empty folder"), atomic_folder(folder) as temporary:
+    with pytest.raises(OutputExistsError, match="is not an empty folder"), atomic_folder(folder) as temporary:
         (temporary / "file").write_text("new")
         folder.mkdir()
         (folder / "file").write_text("theirs")
@@ -118,17 +118,17 @@ def test_what_others_write_in_the_meantime_stays(tmp_path: Path) -> None:
 def test_a_name_that_is_too_long_is_refused_before_the_work(tmp_path: Path) -> None:
     limit = os.pathconf(tmp_path, "PC_NAME_MAX")
     path = tmp_path / ("é" * (limit // 2 - 6) + ".h5")
-    with pytest.raises(StorageError, match=rf"é\.h5 has {len(os.fsencode(path.name))} bytes, \d+ more than can be"):
+    with pytest.raises(StorageError, match=rf"é\.h5 has {len(os.fsencode(path.name))} bytes, \d+ too many"):
         require_own(path, lambda file: None)
     surplus = max(24, len(f"..{platform.node()}-{os.getpid()}.partial"))
     longest = tmp_path / ("n" * (limit - surplus))
-    with pytest.raises(StorageError, match=", 1 more than can be written"):
+    with pytest.raises(StorageError, match=", 1 too many"):
         require_own(longest.with_name(longest.name + "n"), lambda file: None)
     require_own(longest, lambda file: None)
     write_text(longest, "whole")
     deep = tmp_path.joinpath(*[200 * "d"] * (os.pathconf(tmp_path, "PC_PATH_MAX") // 201 - 2))
     for refuse in (require_empty, lambda path: require_space(path, 1)):
-        with pytest.raises(StorageError, match=r"dd has \d+ bytes, \d+ more than|File name too long"):
+        with pytest.raises(StorageError, match=r"dd has \d+ bytes, \d+ too many|File name too long"):
             refuse(deep / (200 * "d"))
 
 

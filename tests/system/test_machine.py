@@ -63,7 +63,7 @@ def test_what_ulimit_leaves_is_for_this_process(
     unlimited, known = resource.RLIM_INFINITY, {kind: 3 * MIB}
     monkeypatch.setattr(resource, "getrlimit", lambda asked: (known.get(asked, unlimited), unlimited))
     assert available_memory_mib() == 1 < available_memory_mib(2)
-    with pytest.raises(OutOfMemoryError, match=r"Tracing takes 2 MiB of memory at least. 1 MiB are left. .*--executor"):
+    with pytest.raises(OutOfMemoryError, match=r"Tracing needs at least 2 MiB of memory. 1 MiB are left. .*--executor"):
         require_memory(2, "Tracing")
     require_memory(1, "Tracing")
 

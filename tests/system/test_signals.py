@@ -52,4 +52,4 @@ def test_ctrl_c_while_sionna_rt_is_imported_ends_in_one_line(tmp_path: Path) -> 
     command = [sys.executable, "-c", IMPORT_SIONNA]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert ended.returncode == 130
-    assert ended.stderr.strip() == "xfreqbench: interrupted; the same command goes on where it stopped."
+    assert ended.stderr.strip() == "xfreqbench: interrupted; the same command continues where it stopped."

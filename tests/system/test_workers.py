@@ -192,7 +192,7 @@ def test_ctrl_c_reaches_the_parent_alone_and_where_memory_runs_out_a_worker_is_k
 def test_more_processes_than_memory_holds_are_not_started(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "available_memory_mib", lambda processes: 1000 / processes)
     with pytest.raises(
-        OutOfMemoryError, match=r"Each worker of --executor 40 takes 50 MiB .* 25 MiB are left for each"
+        OutOfMemoryError, match=r"Each worker of --executor 40 needs at least 50 MiB .* 25 MiB are left for each"
     ):
         open_workers("40")
 

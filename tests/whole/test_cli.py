@@ -73,23 +73,20 @@ print("loaded", sorted({HEAVY!r} & set(sys.modules)))
         ("generate office -o x.h5 --tx 1.5", 'Invalid value for --tx: unable to convert "1.5" into int'),
         ("import maps -o x.h5 --freq 2_4", 'Invalid value for --freq: unable to convert "2_4" into float'),
         ("bench measured flat x.csv --freqs 2.4 --height 1_3", 'unable to convert "1_3" into float'),
-        (
-            "generate office -o x.h5 --receiver north",
-            "There is no receiver 'north'. None has a name here: leave it out.",
-        ),
+        ("generate office -o x.h5 --receiver north", "There is no receiver 'north'. There are none: leave it out."),
         ("run --method nearest --results results --data x.h5 --seed x", "--seed takes whole numbers"),
         ("run --method nearest --results results --data x.h5 --seeds x", "--seeds takes whole numbers"),
         ("run --method nearest --results results --data x.h5 --targets x", "--targets takes carriers"),
         (
             "run --method nearest, gsrf --results results --data x.h5",
-            "no place for 'gsrf'. A list has commas and no spaces",
+            "does not take 'gsrf'. A list has commas and no spaces",
         ),
         ("split -o x.h5 --data x.h5 --targets-ghz x", "--targets-ghz takes carriers"),
         ("import nowhere -o x.h5", "There is no folder nowhere."),
         ("vew", 'Did you mean "view"?'),
         ("scenes ofice --toml", "Did you mean 'office'"),
-        ("scenes office", "A name and --toml belong together"),
-        ("scenes --toml", "A name and --toml belong together"),
+        ("scenes office", "A name and --toml need each other"),
+        ("scenes --toml", "A name and --toml need each other"),
     ],
 )
 def test_mistakes_end_with_code_2_and_words(
@@ -281,7 +278,7 @@ def test_an_interrupted_kernel_is_an_interruption(kind: type[Exception], monkeyp
     monkeypatch.setattr(cli, "app", interrupted)
     ended = xfreqbench("scenes")  # which would end the tests, if it were not for `os._exit` in its place
     assert ended.code == 130
-    assert ended.stderr == "\nxfreqbench: interrupted; the same command goes on where it stopped.\n"
+    assert ended.stderr == "\nxfreqbench: interrupted; the same command continues where it stopped.\n"
 
 
 ENDS_AT_ONCE = """
@@ -347,7 +344,7 @@ def test_what_needs_more_memory_than_there_is_is_refused_before_it_starts(tmp_pa
     command = [Path(sys.executable).with_name("xfreqbench"), "info", "scenes/office.h5"]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, preexec_fn=bounded)
     assert ended.returncode == 1
-    assert re.match(r"xfreqbench: This command takes 200 MiB of memory at least. 1\d\d MiB are left. ", ended.stderr)
+    assert re.match(r"xfreqbench: This command needs at least 200 MiB of memory. 1\d\d MiB are left. ", ended.stderr)
 
 
 REFUSE_ALL = f"""

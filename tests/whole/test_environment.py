@@ -79,7 +79,7 @@ def test_a_locale_of_ascii_reads_prints_and_writes_all_the_same(tmp_path: Path) 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no device that is always full")
 @pytest.mark.parametrize("command", ["scenes", "--help", "import --conventions"])
 def test_a_full_device_as_output_is_said_in_one_line(command: str) -> None:
-    check_line(run(*command.split(), stdout=Path("/dev/full")), "what is printed cannot be written: No space left")
+    check_line(run(*command.split(), stdout=Path("/dev/full")), "the output cannot be printed: No space left")
 
 
 @pytest.mark.parametrize("number", ["0", "-1", "9999", "many", ""])
@@ -161,5 +161,5 @@ def test_without_a_home_to_write_to_kernels_are_kept_in_a_folder_of_our_own(tmp_
     own.chmod(0o777)  # somebody else may have put code there
     ended = run(before=[*AS_ANOTHER, *home], python=KERNELS, cwd=work, TMPDIR=str(folder))
     assert ended.returncode == 0
-    assert b"there is no folder to keep what is compiled; it is compiled anew. Set NUMBA_CACHE_DIR" in ended.stderr
+    assert b"compiled code cannot be kept; it is compiled each time. Set NUMBA_CACHE_DIR" in ended.stderr
     assert list(folder.iterdir()) == [own]

@@ -88,7 +88,7 @@ def test_a_function_is_a_command_with_the_options_of_its_parameters(installed: P
     done = xfreqbench(installed, "count-rooms", "r", "-o", "n.txt", "--twice", "-q")
     assert (done.returncode, done.stdout, done.stderr) == (0, "PosixPath('r') n.txt True True\n", "")
     shown = xfreqbench(installed, "count-rooms", "--help").stdout
-    for words in ("Count rooms.", "Folder of the rooms.", "-o PATH", "File for their number.", "Print errors only."):
+    for words in ("Count rooms.", "Folder of the rooms.", "-o PATH", "File for their number.", "Print only errors."):
         assert words in shown
     assert shown.rstrip().endswith("\nExample: xfreqbench count-rooms results -o rooms.txt")
     shown = xfreqbench(installed, "--help").stdout
@@ -101,8 +101,8 @@ def test_a_function_is_a_command_with_the_options_of_its_parameters(installed: P
     [
         ("import no_such_library", "ModuleNotFoundError: No module named 'no_such_library'"),
         ("raise SystemExit(0)", "SystemExit: 0"),
-        ("rooms = 3", "their_rooms:rooms is no function, and no App(name='count-rooms') of cyclopts"),
-        ("from cyclopts import App\nrooms = App(name='other')", "no App(name='count-rooms') of cyclopts"),
+        ("rooms = 3", "their_rooms:rooms is neither a function nor an App(name='count-rooms') of cyclopts"),
+        ("from cyclopts import App\nrooms = App(name='other')", "an App(name='count-rooms') of cyclopts"),
         ("other = 3", "has no attribute 'rooms'"),
     ],
 )

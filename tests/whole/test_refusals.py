@@ -119,7 +119,7 @@ def test_files_that_once_ended_in_a_traceback_or_warnings_are_refused(
 def test_a_grid_of_a_billion_transmitters_is_refused_by_its_number_before_it_takes_memory() -> None:
     grid = {**SMALL_SCENE["transmitters"], "step_m": [0.003, 0.003, 0.001]}
     message = refusal(lambda: parse_scene(toml_file({**SMALL_SCENE, "transmitters": grid})))
-    assert f"1,003,003,001 positions, but {MAX_CANDIDATES:,} are the most" in str(message)
+    assert f"1,003,003,001 positions, and at most {MAX_CANDIDATES:,} are allowed" in str(message)
 
 
 FAILING = "/proc/self/mem"  # a regular file that can be opened, of which the system says that it cannot be read

@@ -33,12 +33,10 @@ def scenes(
     name: str | None = None,
     *,
     toml: Annotated[
-        bool, Parameter(negative="", help="Print the TOML of the scene or family NAME, to start one of your own from.")
+        bool, Parameter(negative="", help="Print the TOML of the scene or family NAME, as a start for your own.")
     ] = False,
     schema: Annotated[bool, Parameter(negative="", help="Print the JSON Schema of scene files, for editors.")] = False,
-    family_schema: Annotated[
-        bool, Parameter(negative="", help="Print the JSON Schema of files of families of rooms.")
-    ] = False,
+    family_schema: Annotated[bool, Parameter(negative="", help="Print the JSON Schema of family files.")] = False,
 ) -> None:
     """List the scenes, and the families of rooms, that ship with the toolkit."""
     import json
@@ -50,7 +48,7 @@ def scenes(
     if toml or name is not None:
         if not (toml and name):
             raise XFreqBenchError(
-                "A name and --toml belong together: `xfreqbench scenes office --toml` prints the file of the office."
+                "A name and --toml need each other: `xfreqbench scenes office --toml` prints the file of the office."
             )
         print(shipped_toml(name), end="")
         return
@@ -64,7 +62,7 @@ def scenes(
 @with_help
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GenerateArguments(GenerateOptions):
-    """The options of `generate` as a command line gives them."""
+    """The options of `generate` on the command line."""
 
     freqs_ghz: Freqs = PAPER_CARRIERS_GHZ
     tx_positions: Path | None = None  # type: ignore[assignment]
@@ -84,7 +82,7 @@ def generate(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Trace a scene and write its channels and power angular spectra to an HDF5 file, or those of many drawn rooms.
+    """Trace a scene, or many drawn rooms, and write channels and power angular spectra to HDF5 files.
 
     Parameters
     ----------
@@ -103,7 +101,7 @@ def generate(
     if options.rooms is not None:
         if asked.pop("tx_positions") is not None or asked.pop("receiver") is not None:
             raise XFreqBenchError(
-                "With --rooms the family draws transmitters and array: leave out --tx-positions and --receiver."
+                "With --rooms the family draws transmitters and array; leave out --tx-positions and --receiver."
             )
         if not dry_run:
             say(f"{of_rooms.generate_rooms(scene, output, **asked)!r}\nwrote {output}", quiet)
@@ -145,27 +143,27 @@ def info(
     file: Path,
     *,
     retrace: Annotated[
-        int, Parameter(help="Samples to trace again from the scene and settings in the file, and to compare with it.")
+        int, Parameter(help="Number of samples to trace again from the scene and settings in the file, and to compare.")
     ] = 0,
     glints: Annotated[
         int,
         Parameter(
-            help="Transmitters to trace with every facet of the meshes as a mirror, to say what patches leave out."
+            help="Number of transmitters to trace with every facet of the meshes as a mirror, to compare with patches."
         ),
     ] = 0,
     statistics: Annotated[
         bool,
         Parameter(
             negative="",
-            help="Path loss, spreads, K and mechanisms at each carrier, beside 3GPP TR 38.901 and others: of stored "
-            "paths, or of 200 transmitters that are traced again.",
+            help="Print path loss, spreads, K and mechanisms at each carrier, and those of 3GPP TR 38.901 and others. "
+            "They are of stored paths, or of 200 transmitters that are traced again.",
         ),
     ] = False,
-    seed: Annotated[int, Parameter(help="Which samples are traced again.")] = 0,
+    seed: Annotated[int, Parameter(help="Seed that draws the samples to trace again.")] = 0,
 ) -> None:
-    """Print what a data set, or a folder of rooms, holds, and verify every byte of it against its hashes.
+    """Print the contents of a data set, or of a folder of rooms, and verify every byte against its hashes.
 
-    A data set is compared with the fingerprint of its scene, too.
+    A data set is also compared with the fingerprint of its scene.
     """
     from xfreqbench.data.collection import open_collection
     from xfreqbench.data.dataset import links, open_dataset, verify
@@ -212,15 +210,15 @@ def plot(
     of: Annotated[
         Literal["maps", "power", "statistics"],
         Parameter(
-            help="maps: what the array hears of one transmitter, by direction; power: a plan of the room with the "
-            "power received from every transmitter; statistics: path loss, spreads and K beside standards."
+            help="maps: the power from one transmitter, by direction; power: a plan of the room with the power "
+            "received from every transmitter; statistics: path loss, spreads and K compared with standards."
         ),
     ] = "maps",
-    tx: Annotated[int | None, Parameter(help="Index of the transmitter whose maps are drawn; 0 if absent.")] = None,
+    tx: Annotated[int | None, Parameter(help="Index of the transmitter whose maps are drawn; default 0.")] = None,
     carriers: Annotated[
-        str | None, Parameter(help="Carriers in GHz, comma-separated, one panel each; all of the data if absent.")
+        str | None, Parameter(help="Carriers in GHz, comma-separated, one panel each; default all.")
     ] = None,
-    db_range: Annotated[float, Parameter(help="How many dB below the strongest the colours reach.")] = 30.0,
+    db_range: Annotated[float, Parameter(help="Range of the colours in dB below the strongest.")] = 30.0,
 ) -> None:
     """Draw the maps of one transmitter, a plan with the power of all, or statistics, by carrier: PNG, SVG or PDF."""
     from xfreqbench.report.drawing.figures import figure_kind, require_own_figure
@@ -228,7 +226,7 @@ def plot(
 
     figure_kind(output)
     if not 0 < db_range <= 300:
-        raise XFreqBenchError(f"--db-range takes dB above 0, 300 at most, as in 30, but got {db_range:g}.")
+        raise XFreqBenchError(f"--db-range takes dB above 0, at most 300, as in 30, but got {db_range:g}.")
     if of != "maps" and tx is not None:
         raise XFreqBenchError(f"--of {of} shows all transmitters; leave --tx out, or draw --of maps.")
     if of == "statistics" and carriers is not None:
@@ -249,13 +247,13 @@ def view(
     data_or_scene: str,
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for page, figures and model.")],
-    tx: Annotated[int | None, Parameter(help="Index of the transmitter shown; one in the middle if absent.")] = None,
+    tx: Annotated[int | None, Parameter(help="Index of the transmitter shown; default: one in the middle.")] = None,
     carrier: Annotated[
-        float | None, Parameter(help="Carrier in GHz at which rays are drawn; the middle one if absent.")
+        float | None, Parameter(help="Carrier in GHz at which rays are drawn; default: the middle one.")
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Show a data set or a scene: a page, figures, and the scene with one transmitter's rays in 3D.
+    """Show a data set or a scene: write a page, figures, and the scene with one transmitter's rays in 3D.
 
     Parameters
     ----------

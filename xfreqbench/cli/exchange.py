@@ -24,7 +24,7 @@ from xfreqbench.cli.options import (
 from xfreqbench.errors import XFreqBenchError
 
 Convention = Annotated[
-    str, Parameter(help="Whose angles, values and array: a name from `xfreqbench import --conventions`.")
+    str, Parameter(help="Convention of angles, values and array: a name from `xfreqbench import --conventions`.")
 ]
 Changed = Annotated[tuple[str, ...], Parameter(name="--set", help="Change a field of the convention, as in plane=yz.")]
 
@@ -48,27 +48,27 @@ def import_(
         float | None, Parameter(help="Carrier in GHz of all samples, for a folder without freq.txt.")
     ] = None,
     pair: Annotated[
-        str | None, Parameter(help="For DeepMIMO: station and users, as in t001_tx000_r000, where there are several.")
+        str | None, Parameter(help="For DeepMIMO: station and users, as in t001_tx000_r000, if there are several.")
     ] = None,
     elevations: Annotated[
         Literal["zenith", "horizon"],
-        Parameter(help="For DeepMIMO: from where its elevations are counted; those of AODT may be from the horizon."),
+        Parameter(help="For DeepMIMO: origin of its elevations; those of AODT may be counted from the horizon."),
     ] = "zenith",
     quiet: Quiet = False,
 ) -> None:
-    """Read a folder of PNG maps, or scenarios of DeepMIMO, as other groups publish theirs, into an HDF5 file.
+    """Convert a folder of PNG maps, or scenarios of DeepMIMO, as other groups publish them, to an HDF5 file.
 
     Parameters
     ----------
     folder
-        Holds spectrum/00001.png, … of up to 1,000,000 pixels each, tx_pos.csv, gateway_info.yml and mostly freq.txt; or
-        is a scenario of DeepMIMO v4, or a folder of scenarios at several carriers.
+        A folder with spectrum/00001.png, … of up to 1,000,000 pixels each, tx_pos.csv, gateway_info.yml and usually
+        freq.txt; or a scenario of DeepMIMO v4, or a folder of scenarios at several carriers.
     """
     from xfreqbench.system.bars import progress_bars
 
     if from_ == "deepmimo":
         if freq is not None or set_:
-            raise XFreqBenchError("--set and --freq are about PNG maps; leave them out with --from deepmimo.")
+            raise XFreqBenchError("--set and --freq are for PNG maps; leave them out with --from deepmimo.")
         from xfreqbench.exchange.deepmimo_import import import_deepmimo
 
         with progress_bars("users", ["importing"], quiet) as (progress,):
@@ -76,7 +76,7 @@ def import_(
         say_written(output, is_new, quiet)
         return
     if pair is not None or elevations != "zenith":
-        raise XFreqBenchError("--pair and --elevations are about scenarios of DeepMIMO; give --from deepmimo too.")
+        raise XFreqBenchError("--pair and --elevations are for scenarios of DeepMIMO; give --from deepmimo too.")
     from xfreqbench.exchange.conventions import convention_named
     from xfreqbench.exchange.png_dataset import import_png_folder
     from xfreqbench.exchange.png_folder import read_png_folder
@@ -93,7 +93,7 @@ def import_(
 
 @app["import"].command(name="--conventions", group="Parameters")
 def conventions() -> None:
-    """Print how each publisher of PNG maps draws them: the fields that --set of import and export changes."""
+    """Print the convention of each publisher of PNG maps: the fields that --set of import and export changes."""
     from xfreqbench.exchange.conventions import CONVENTIONS, NO_CONVENTIONS, convention_rows
 
     print_table("", ("field", *CONVENTIONS), convention_rows())
@@ -110,10 +110,10 @@ def card(
     license_: Annotated[
         str, Parameter(name="--license", help="Licence of the data, as SPDX names it: CC-BY-4.0, CC0-1.0, ….")
     ],
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write, absent or empty.")],
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write, new or empty.")],
     quiet: Quiet = False,
 ) -> None:
-    """Write a folder to hand on: the data, a README card, Croissant metadata, checksums, a sample, its recipe.
+    """Write a folder to publish: the data, a README card, Croissant metadata, checksums, a sample, its recipe.
 
     Parameters
     ----------
@@ -131,46 +131,46 @@ def export(
     data: Path,
     *,
     output: Annotated[
-        Path, Parameter(name=["--output", "-o"], help="Folder to write, absent or empty; for a table, a file.")
+        Path, Parameter(name=["--output", "-o"], help="Folder to write, new or empty; for a table, a file.")
     ],
     to: Annotated[
         Literal["png", "deepmimo", "sionna-npz", "table", "datasets", "webdataset"],
         Parameter(
-            help="png: maps, as --convention draws them; deepmimo: paths, as scenarios of DeepMIMO v4; sionna-npz: "
-            "paths, in arrays named as in Sionna RT; table: powers, K and spreads of every sample, as CSV, or as "
-            "Parquet for a name in .parquet; datasets: maps and channels as Parquet, which Hugging Face's datasets "
-            "reads; webdataset: both as tar shards."
+            help="png: maps, drawn by --convention; deepmimo: paths, as scenarios of DeepMIMO v4; sionna-npz: paths, "
+            "in arrays named as in Sionna RT; table: powers, K and spreads of every sample, as CSV, or as Parquet if "
+            "the name ends in .parquet; datasets: maps and channels as Parquet, for Hugging Face's datasets; "
+            "webdataset: maps and channels as tar shards."
         ),
     ] = "png",
     convention: Annotated[
         str | None,
-        Parameter(help="For PNG maps: whose angles and values, a name from `xfreqbench import --conventions`."),
+        Parameter(help="For PNG maps: convention of angles and values, a name from `xfreqbench import --conventions`."),
     ] = None,
     set_: Changed = (),
     power_dbm: Annotated[
         float | None,
-        Parameter(help="For a table: transmit power in dBm, in place of power_dbm in the scene's [transmitters]."),
+        Parameter(help="For a table: transmit power in dBm, instead of power_dbm in the scene's [transmitters]."),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write a data set in a layout that others read: its maps as PNGs or shards, its paths, or a table of its links.
+    """Write a data set in the format of another program: maps as PNGs or shards, paths, or a table of links.
 
     Parameters
     ----------
     data
-        A data set, generated or imported; for paths, one that was generated with --paths; for datasets and webdataset,
-        a folder of rooms, too.
+        A data set, generated or imported; for paths, one that was generated with --paths; for datasets and webdataset
+        also a folder of rooms.
     """
     if (to == "png") != (convention is not None):
         raise XFreqBenchError(
-            "PNG maps are drawn by a convention: give --convention, a name from `xfreqbench import --conventions`."
+            "PNG maps are drawn by a convention; give --convention, a name from `xfreqbench import --conventions`."
             if to == "png"
-            else f"--to {to} writes what no convention of maps changes: leave out --convention."
+            else f"--to {to} does not use a convention of maps; leave out --convention."
         )
     if power_dbm is not None and to != "table":
-        raise XFreqBenchError("--power-dbm is about a table of powers; give --to table too, or leave it out.")
+        raise XFreqBenchError("--power-dbm is for a table of powers; give --to table too, or leave it out.")
     if set_ and to != "png":
-        raise XFreqBenchError(f"--set changes a convention of maps, and --to {to} has none: leave it out.")
+        raise XFreqBenchError(f"--set changes a convention of maps, and --to {to} has none; leave it out.")
     from xfreqbench.system.bars import progress_bars
 
     counted = {"table": "links", "deepmimo": "carriers", "sionna-npz": "carriers"}.get(to, "maps")
@@ -190,7 +190,7 @@ def export(
 
             dataset, what = export_link_table(data, output, power_dbm, progress), ""
             if not dataset.header.paths:
-                say(f"{data} holds no paths, of which local means, K and spreads are: generate it with --paths", quiet)
+                say(f"{data} has no paths, which local means, K and spreads need: generate it with --paths", quiet)
         else:
             from xfreqbench.exchange.deepmimo import export_deepmimo
             from xfreqbench.exchange.path_arrays import export_sionna_npz
@@ -214,12 +214,11 @@ def split(
     ] = None,
     on: ScoredOnOption = "test",
     maps: Annotated[
-        bool,
-        Parameter(negative="", help="Include the training maps, so that the data set itself need not be handed out."),
+        bool, Parameter(negative="", help="Include the training maps, so that the method does not need the data set.")
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a file with all that a method which runs elsewhere may know of each split, without any tested map."""
+    """Write a split file for a method that runs elsewhere: all that it may know of each split, and no tested map."""
     from xfreqbench.data.dataset import open_dataset
     from xfreqbench.data.splits import make_splits
     from xfreqbench.exchange.split_file import write_splits
@@ -243,13 +242,13 @@ def score(
     method: Annotated[str | None, Parameter(help="Name on the leaderboard, instead of the one in the file.")] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Score maps that were predicted elsewhere in the same way as a run's, and record them, marked external.
+    """Score maps that were predicted elsewhere, in the same way as those of a run, and record them as external.
 
     Parameters
     ----------
     predictions
-        HDF5 with a group for each split: a dataset `pas` in the order of `test_row`, attributes of the split file
-        and `method`.
+        HDF5 file with a group for each split: a dataset `pas` in the order of `test_row`, the attributes of the split
+        file, and `method`.
     """
     from xfreqbench.exchange.score_file import score_file
     from xfreqbench.report.leaderboard.tables import Leaderboard
@@ -258,7 +257,7 @@ def score(
     with progress_bars("maps", ["checking", "scoring"], quiet) as (checking, scoring):
         scored = score_file(predictions, data, results, method, checking, scoring)
     if scored.missing:
-        say(f"{predictions} has nothing for {', '.join(scored.missing)}, which its protocol tests too", quiet)
+        say(f"{predictions} has no predictions for {', '.join(scored.missing)}, which its protocol tests too", quiet)
     for silent in scored.silent:
         say(f"every map of {silent} in {predictions} is zero. Was each divided by its maximum before it was rounded?")
     if not scored.is_data_known:

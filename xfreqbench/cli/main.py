@@ -36,19 +36,19 @@ _IGNORED = add_plugin_commands(app)  # after the commands of our own
 def main() -> None:
     """Run the command line; ends with exit code 2 for an error that a user can fix, 130 for an interrupted command.
 
-    It is 1 where memory runs out, and where the program that reads the output has ended.
+    The code is 1 if memory runs out, or if the program that reads the output has ended.
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # the name of a file need not be valid text
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files may be invalid text
     _bound_console_width()
-    os.environ["MPLBACKEND"] = "agg"  # no window is opened, and Matplotlib cannot be imported with a wrong name
+    os.environ["MPLBACKEND"] = "agg"  # opens no window; Matplotlib could not be imported with a wrong name
     for ignored in _IGNORED:
         print(f"xfreqbench: {ignored}", file=sys.stderr)
     try:
         require_working_folder()
         require_thread_count()
-        now()  # which no clock may make impossible once the work is done
-        # with less, OpenBLAS and LLVM end the process, or wait for ever, where they are loaded
+        now()  # a wrong clock is an error before the work
+        # with less, OpenBLAS and LLVM end the process, or wait for ever, when they are loaded
         require_memory(200, "This command")
         with interruptions_kept(), announcing(not {"--quiet", "-q"} & {*sys.argv}):
             if sys.argv[1:2] in ([], ["--help"], ["-h"]):
@@ -65,8 +65,8 @@ def main() -> None:
         _discard_output()
         sys.exit(1)
     except (Exception, KeyboardInterrupt) as error:
-        if was_interrupted(error):  # Numba and Dr.Jit raise errors of their own where Ctrl-C interrupts a kernel
-            _leave("\nxfreqbench: interrupted; the same command goes on where it stopped.", 130)
+        if was_interrupted(error):  # Numba and Dr.Jit raise errors of their own if Ctrl-C interrupts a kernel
+            _leave("\nxfreqbench: interrupted; the same command continues where it stopped.", 130)
         if lacks_memory(error):
             said = str(error).partition("\n")[0] or type(error).__name__
             _leave(f"xfreqbench: memory ran out: {said}. {memory_left()}", 1)
@@ -74,23 +74,23 @@ def main() -> None:
             raise
         fault = f"{error.filename} cannot be used: {error.strerror}. Correct the path or its permissions."
         if error.filename is None:
-            fault = f"what is printed cannot be written: {error.strerror}. Free some space, or print elsewhere."
+            fault = f"the output cannot be printed: {error.strerror}. Free some space, or print elsewhere."
         print(f"xfreqbench: {plain(fault)}", file=sys.stderr)
         sys.exit(2)
 
 
 def _shown(error: XFreqBenchError) -> str:
-    """The message of an error as it is printed, without the middle where it quotes what is very long."""
+    """The message of an error as it is printed, without the middle of a very long one."""
     text = plain(error)
     return text if len(text) < 8000 else f"{text[:4000]} … {text[-2000:]}"
 
 
 @contextmanager
 def interruptions_kept() -> Iterator[None]:
-    """Let Ctrl-C count where Python or a library drops it: in the garbage collector, or while C looks for an attribute.
+    """Keep Ctrl-C where Python or a library drops it: in the garbage collector, or while C looks for an attribute.
 
-    It is raised once more unless the main thread is ending because of it, and in place of what libraries make of it. It
-    waits until a compiled module is imported: one that is initialised halfway crashes the interpreter at its exit.
+    It is raised again unless the main thread is ending because of it, and instead of the errors of libraries. It waits
+    until a compiled module is imported: one that is initialised halfway crashes the interpreter at its exit.
     """
     others, main_thread = sys.unraisablehook, threading.get_ident()
     is_ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # in a shell's background it is ignored
@@ -142,12 +142,12 @@ def _is_output_lost() -> bool:
 
 
 def _discard_output() -> None:
-    """Send what is left to print nowhere, because the interpreter's exit would fail of it once more."""
+    """Discard the rest of the output, because the interpreter's exit would fail to print it again."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _bound_console_width() -> None:
-    """Have tables, bars and help texts drawn for a sensible width, whatever `COLUMNS` or the terminal say."""
+    """Limit the width of tables, bars and help texts that `COLUMNS` or the terminal asks for."""
     low, high = 20, 1000  # narrower, a help text never ends; wider, it fills the memory
     width = shutil.get_terminal_size().columns
     if "COLUMNS" in os.environ or not low <= width <= high:
@@ -155,7 +155,7 @@ def _bound_console_width() -> None:
 
 
 def _leave(words: str, status: int) -> NoReturn:
-    """Say why, and end without the interpreter's exit, which frees what threads and libraries may still be using."""
+    """Print why, and end without the interpreter's exit, which frees what threads and libraries may still use."""
     try:
         print(words, file=sys.stderr, flush=True)
         sys.stdout.flush()

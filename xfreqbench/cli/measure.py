@@ -21,8 +21,7 @@ BenchOutput = Annotated[
 def _bench(name: str, output: Path | None, *arguments: str, kind: str | None = None, **options: object) -> Any:
     """The object that prints a command's tables and appends them to `output`, with the command line that makes them.
 
-    `kind` names the tables where a command makes several kinds. Options that are False or None are left out of the
-    command line.
+    `kind` names the tables if a command makes several kinds. The command line has no options that are False or None.
     """
     import shlex
 
@@ -44,7 +43,7 @@ def bench_generate(
     against_plain: Annotated[
         bool, Parameter(negative="", help="Compare the full pipeline's rate with one public PathSolver call a sample.")
     ] = False,
-    tx: Annotated[int | None, Parameter(help="Transmitters of the full pipeline; all if absent.")] = None,
+    tx: Annotated[int | None, Parameter(help="Transmitters of the full pipeline; default all.")] = None,
     plain_tx: Annotated[int, Parameter(help="Transmitters of the PathSolver calls, 2 to 24.")] = 12,
     output: BenchOutput = None,
 ) -> None:
@@ -87,7 +86,7 @@ def bench_render(
 
 @bench.command(name="savings", help_epilogue=example("bench savings -o records.jsonl"))
 def bench_savings(*, output: BenchOutput = None) -> None:
-    """Print the time of every saving of the generator, off and on, and what it changes."""
+    """Print the time with every saving of the generator off and on, and the change of the channels."""
     from xfreqbench.bench import savings as efficiency
 
     efficiency.bench_savings(_bench("savings", output))
@@ -107,14 +106,14 @@ def bench_scale_out(
 def bench_peers(
     *,
     solvers: Annotated[
-        str | None, Parameter(help="Comma-separated; all if absent, those of DiffeRT with the extra `peers`.")
+        str | None, Parameter(help="Comma-separated; default all. Those of DiffeRT need the extra `peers`.")
     ] = None,
     orders: Annotated[str, Parameter(help="Numbers of reflections, 1 to 6.")] = "1,2,3,4",
-    seconds: Annotated[float, Parameter(help="How long a solver may run after its set-up.")] = 20.0,
-    limit: Annotated[float, Parameter(help="After how many seconds in all a solver is stopped.")] = 300.0,
+    seconds: Annotated[float, Parameter(help="Seconds that a solver may run after its set-up.")] = 20.0,
+    limit: Annotated[float, Parameter(help="Total seconds after which a solver is stopped.")] = 300.0,
     output: BenchOutput = None,
 ) -> None:
-    """Print paths, time and error of our solvers beside those of Sionna RT and DiffeRT, on the same room."""
+    """Compare paths, time and error of our solvers with those of Sionna RT and DiffeRT, in the same room."""
     from xfreqbench.bench.peers import run
 
     names = [name.strip() for name in solvers.split(",")] if solvers else run.installed_peers()
@@ -125,7 +124,7 @@ def bench_peers(
 @bench.command(name="stress", help_epilogue=example("bench stress --only phase"))
 def bench_stress(
     *,
-    only: Annotated[str | None, Parameter(help="Cases whose area or name holds this text.")] = None,
+    only: Annotated[str | None, Parameter(help="Run only cases whose area or name contains this text.")] = None,
     output: BenchOutput = None,
 ) -> None:
     """Compare extreme cases of the numerics with independent references; exit code 1 if a case fails."""
@@ -144,14 +143,14 @@ def bench_measured(
     height: Annotated[
         float | None, Parameter(help="z in metres of all positions, for a file without that column.")
     ] = None,
-    every: Annotated[int, Parameter(help="Take each so many-th line of the file.")] = 1,
-    solver: Annotated[Literal["auto", "image", "sionna"], Parameter(help="As of `generate`.")] = "auto",
-    max_depth: Annotated[int, Parameter(help="Most interactions of a path.")] = 6,
-    seed: Annotated[int, Parameter(help="Chooses the tenth of the lines at which models are fitted.")] = 1,
+    every: Annotated[int, Parameter(help="Use every N-th line of the file.")] = 1,
+    solver: Annotated[Literal["auto", "image", "sionna"], Parameter(help="As in `generate`.")] = "auto",
+    max_depth: Annotated[int, Parameter(help="Maximum number of interactions of a path.")] = 6,
+    seed: Annotated[int, Parameter(help="Seed that draws the tenth of the lines at which models are fitted.")] = 1,
     output: BenchOutput = None,
     quiet: Quiet = False,
 ) -> None:
-    """Compare powers that were measured with a scene's, and with free space, fitted laws and nearest positions.
+    """Compare measured powers with those of a scene, of free space, of fitted laws and of nearest positions.
 
     Parameters
     ----------
@@ -159,7 +158,7 @@ def bench_measured(
         A shipped scene's name, or the path of a scene TOML. It may have several receivers.
     measured
         A CSV file with a line of names: x, y and z in metres, and for each receiver a power in dB or dBm, in a column
-        of its name or of one that ends in `_` and the name.
+        with the receiver's name, or with a name that ends in `_` and the receiver's.
     """
     from xfreqbench.bench.measured import bench_measured, read_measurement
     from xfreqbench.scene.model import load_scene
@@ -182,10 +181,10 @@ def bench_measured(
 
 @bench.command(name="reference", help_epilogue=example("bench reference empty -o reference.npz"))
 def bench_reference(scene: str = "office", *, output: Output | None = None, quiet: Quiet = False) -> None:
-    """Compute the reference of a scene by plain PathSolver calls, in 20 minutes; a killed run goes on where it was.
+    """Compute the reference of a scene by plain PathSolver calls, in 20 minutes; a killed run continues.
 
-    That of a scene with meshes is computed by solver `image` with eight times the rays, in a minute or two. Without
-    --output it is written into the installed package, beside the shipped scenes, where `bench generate` looks for it.
+    For a scene with meshes, solver `image` computes it with eight times the rays, in a minute or two. Without
+    --output it is written to the installed package, next to the shipped scenes, where `bench generate` looks for it.
     """
     from xfreqbench.bench.reference import make_reference, reference_path
     from xfreqbench.scene.model import load_scene
@@ -206,15 +205,15 @@ def bench_fingerprint(
     interactions: Annotated[
         Sequence[str] | None,
         Parameter(
-            help="Comma-separated, of: specular, refraction, diffraction, diffuse. If absent: the first three where "
-            "solver image traces them, else the first two."
+            help="Comma-separated, of: specular, refraction, diffraction, diffuse. Default: the first three if solver "
+            "image traces them, otherwise the first two."
         ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Trace the fingerprint of a scene: the channels with which `info` and `run` compare data sets of it.
+    """Trace the fingerprint of a scene: the channels with which `info` and `run` compare its data sets.
 
-    Those of the shipped scenes lie beside them, in `scenes/`.
+    Fingerprints of the shipped scenes are in `scenes/`.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def _refusal(error: CycloptsError) -> RichGroup:
-    """What is wrong with a command line, in a panel, and below it the example of its command."""
+    """The error of a command line, in a panel, and below it the example of its command."""
     from rich.console import Group as RichGroup
     from rich.text import Text
 
@@ -35,9 +35,7 @@ def _refusal(error: CycloptsError) -> RichGroup:
         shown = f"xfreqbench {' '.join(chain)} needs {needed}."
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         words = " ".join(error.unused_tokens)
-        shown = (
-            f"xfreqbench {' '.join(chain)} has no place for {words!r}. A list has commas and no spaces, as in 1,2.4."
-        )
+        shown = f"xfreqbench {' '.join(chain)} does not take {words!r}. A list has commas and no spaces, as in 1,2.4."
     panel, command = CycloptsPanel(shown), app
     for name in chain:
         command = command[name]
@@ -45,9 +43,9 @@ def _refusal(error: CycloptsError) -> RichGroup:
 
 
 def _typed(kind: Any, tokens: Any) -> Any:
-    """The values of an option; its numbers are those of `parse_number`, not all that Cyclopts takes, as 1_0 or 1.5.
+    """The values of an option, with the numbers of `parse_number`: Cyclopts also takes 1_0, and 1.5 for an integer.
 
-    Names of a `Sequence` have commas between them.
+    Names of a `Sequence` are separated by commas.
     """
     convert = cyclopts.convert
     if Sequence[str] in (kind, *get_args(kind)):
@@ -56,7 +54,7 @@ def _typed(kind: Any, tokens: Any) -> Any:
 
 
 def _joined(tokens: Any) -> str:
-    """The text of an option, with commas between what was given one after the other."""
+    """The text of an option, with commas between the values of one that was given several times."""
     return ",".join(token.value for token in tokens)
 
 
@@ -64,9 +62,9 @@ app = App(
     name="xfreqbench",
     error_formatter=_refusal,
     help="How well does a radiance-field method predict channels at carriers it was never trained on?"
-    + (" PYTHONOPTIMIZE=2 (python -OO) leaves out what describes the commands." if sys.flags.optimize > 1 else ""),
+    + (" PYTHONOPTIMIZE=2 (python -OO) removes the help of the commands." if sys.flags.optimize > 1 else ""),
     suppress_keyboard_interrupt=False,
-    default_parameter=Parameter(negative_iterable=(), converter=_typed),  # no --empty-set beside --set
+    default_parameter=Parameter(negative_iterable=(), converter=_typed),  # no --empty-set for --set
 )
 _STEERING = re.compile(r"[\0-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 # Groups of the commands in --help, in this order.
@@ -81,7 +79,7 @@ app.command(bench)
 for flag in ("--help", "--version"):
     app[flag].group = _OTHERS
 app.register_install_completion_command(
-    group=_OTHERS, help="Let bash, zsh or fish complete commands and options; says which files it writes."
+    group=_OTHERS, help="Let bash, zsh or fish complete commands and options; prints which files it writes."
 )
 
 FREQS, TARGETS, SEEDS = ("--freqs-ghz", "--freqs"), ("--targets-ghz", "--targets"), ("--seeds", "--seed")
@@ -89,20 +87,20 @@ Freqs = Annotated[
     CarriersGhz,
     Parameter(
         name=FREQS,
-        help="Carriers in GHz, comma-separated, as in 1,2.4,24.25; or `paper`: the paper's ten.",
+        help="Carriers in GHz, comma-separated, as in 1,2.4,24.25; or `paper`, the paper's ten.",
         converter=lambda kind, tokens: parse_carriers_ghz(_joined(tokens)),
         show_default=lambda default: "paper",
     ),
 ]
 Flag = Annotated[bool, Parameter(negative="")]
 Hidden = Annotated[Any, Parameter(parse=False)]
-Quiet = Annotated[bool, Parameter(name=["--quiet", "-q"], negative="", help="Print errors only.")]
+Quiet = Annotated[bool, Parameter(name=["--quiet", "-q"], negative="", help="Print only errors.")]
 Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write.")]
 ScoredOnOption = Annotated[ScoredOn, Parameter(help=get_args(ScoredOn)[1].documentation)]
 
 
 def example(words: str) -> str:
-    """What stands at the end of a command's help: a whole command line, of these words behind `xfreqbench`."""
+    """The end of a command's help: a complete command line, `xfreqbench` with these words."""
     return f"Example: xfreqbench {words}"
 
 
@@ -118,13 +116,13 @@ def with_help(options: Any) -> Any:
 
 
 def as_typed(names: tuple[str, ...]) -> str:
-    """That name of an option by which the command line gives it; the first where it is not there."""
+    """The name by which the command line gives an option; the first one if the option is absent."""
     typed = {word.partition("=")[0] for word in sys.argv}
     return next((name for name in names if name in typed), names[0])
 
 
 def parse_whole_numbers(option: str, text: str, least: int, most: int) -> list[int]:
-    """Distinct whole numbers from text such as `1,8,32`; raises `XFreqBenchError` that names the option."""
+    """Distinct whole numbers from text such as `1,8,32`; raises an `XFreqBenchError` that names the option."""
     try:
         numbers = [parse_number(part, int) for part in text.split(",")]
     except ValueError:
@@ -135,7 +133,7 @@ def parse_whole_numbers(option: str, text: str, least: int, most: int) -> list[i
 
 
 def parse_carriers_ghz(freqs: str, names: tuple[str, ...] = FREQS) -> list[float]:
-    """Carriers in GHz from text such as `1,2.4`, or `paper`; raises `XFreqBenchError` that names the option."""
+    """Carriers in GHz from text such as `1,2.4`, or `paper`; raises an `XFreqBenchError` that names the option."""
     option = as_typed(names)
     if freqs.strip() == "paper":
         return list(PAPER_CARRIERS_GHZ)
@@ -156,14 +154,14 @@ def parse_carriers_hz(freqs: str, names: tuple[str, ...] = FREQS) -> list[float]
 
 
 def parse_targets_ghz(targets: str | None) -> list[float] | Literal["all"] | None:
-    """Held-out carriers in GHz from text such as `2.4,77`; `all` and None stay. Raises `XFreqBenchError`."""
+    """Held-out carriers in GHz from text such as `2.4,77`; `all` and None are kept. Raises `XFreqBenchError`."""
     if targets is None:
         return None
     return "all" if targets == "all" else parse_carriers_ghz(targets, TARGETS)
 
 
 def plain(text: object) -> str:
-    """A text with escapes, such as `\\x1b`, for what would steer a terminal or turn the order of letters round."""
+    """A text with escapes, such as `\\x1b`, for characters that control a terminal or reverse the order of letters."""
     return _STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
 
 

@@ -25,7 +25,7 @@ _NAME = re.compile("[a-z][a-z0-9-]*")
 def add_plugin_commands(app: App) -> list[str]:
     """Add a command for each installed entry point, by its name.
 
-    Returns a sentence for each one that is ignored, because its name is taken or is no name of a command.
+    Returns a sentence for each one that is ignored, because its name is taken or is not a valid name of a command.
     """
     names = sorted({entry.name for entry in entry_points(group=COMMAND_GROUP)})
     ignored = [name for name in names if name in app or not _NAME.fullmatch(name)]
@@ -33,15 +33,15 @@ def add_plugin_commands(app: App) -> list[str]:
         if name not in ignored:
             app.command(f"{__name__}:{name}", name=name)  # cyclopts gets it by __getattr__, below, when it is used
     return [
-        f"The command {name!r} of {_packages(name)} is ignored: xfreqbench has one of that name, or it is no name."
+        f"The command {name!r} of {_packages(name)} is ignored: xfreqbench has one of that name, or it is not valid."
         for name in ignored
     ]
 
 
 def __getattr__(name: str) -> App:
-    """The command of an entry point, in a group of ours or in `PLUGINS`; where it cannot be loaded, one that says why.
+    """The command of an entry point, in a group of ours or in `PLUGINS`; if it cannot be loaded, one that says why.
 
-    Raises `AttributeError` where there is no such entry point.
+    Raises `AttributeError` if there is no such entry point.
     """
     found = {entry.value: entry for entry in entry_points(group=COMMAND_GROUP, name=name)}
     if not found:
@@ -54,7 +54,7 @@ def __getattr__(name: str) -> App:
             loaded = entry.load()
         app = _app_of(name, loaded) if isfunction(loaded) else loaded
         if not isinstance(app, App) or app.name[0] != name:
-            what = f"is no function, and no App(name={name!r}) of cyclopts"
+            what = f"is neither a function nor an App(name={name!r}) of cyclopts"
             raise MethodError(f"Command {name!r} cannot be loaded: {entry.value} {what}.")
     except MethodError as error:
         return _refusing(name, str(error))
@@ -65,9 +65,9 @@ def __getattr__(name: str) -> App:
 
 
 def _app_of(name: str, function: Callable[..., Any]) -> App:
-    """A command made of a function: its docstring is the help, which ends with what stands there behind "Example: ".
+    """A command made of a function: its docstring is the help, which ends with the text after "Example: ".
 
-    Its options are named as its parameters, and `-o` and `-q` stand for `output` and `quiet`, as in all commands.
+    Its options have the names of its parameters, and `-o` and `-q` are `output` and `quiet`, as in all commands.
     """
     text, _, example = (getdoc(function) or "").partition("\n\nExample: ")
     shared = {"output": Annotated[Path, Parameter(name=["--output", "-o"])], "quiet": Quiet}

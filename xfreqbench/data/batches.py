@@ -1,4 +1,4 @@
-"""Finished batches of a generation, kept on disk until the data set is whole."""
+"""Finished batches of a generation, kept on disk until the data set is complete."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class BatchStore:
         self._pieces.put(index, cfr=channel.cfr, num_paths=channel.num_paths, **paths)
 
     def read(self, index: int) -> Channel:
-        """A batch that was kept; raises `StorageError` where it is there no longer, or was changed."""
+        """A batch that was kept; raises `StorageError` if it is missing or was changed."""
         stored = self._pieces.get(index)
         paths = {name.removeprefix("paths."): stored.pop(name) for name in [*stored] if "." in name}
         return Channel(**stored, paths=RaggedPaths(**paths) if self.plan.header.paths else None)
@@ -50,10 +50,10 @@ class BatchStore:
 
 @contextmanager
 def claimed_batches(output: Path, plan: Plan) -> Iterator[BatchStore]:
-    """The batches of a job, beside its output in `OUTPUT.parts`, for this process alone during the block.
+    """The batches of a job, in `OUTPUT.parts` next to its output; only this process uses them during the block.
 
-    They are removed when the block ends without an exception. Raises `OutputExistsError` where the folder is
-    another job's or somebody else's, and `StorageError` where another process is at the output.
+    They are removed when the block ends without an exception. Raises `OutputExistsError` if the folder belongs to
+    another job or somebody else, and `StorageError` if another process writes the output.
     """
     folder = batch_folder(output)
     with sole_writer(output):
@@ -72,14 +72,14 @@ def batch_folder(output: Path) -> Path:
 
 
 def holds_batches_of(output: Path, plan: Plan) -> bool:
-    """Whether a process that was killed at its very end left the batches of a job beside the output."""
+    """Whether a process that was killed at its very end left the batches of a job next to the output."""
     folder = batch_folder(output)
     marker = folder / _MARKER
     return not folder.is_symlink() and marker.is_file() and not _fault_of_marker(marker, plan)
 
 
 def _fault_of_marker(marker: Path, plan: Plan) -> str | None:
-    """In words, how the job that a marker names differs from a plan's; None if it is the same."""
+    """How the job that a marker names differs from that of a plan, in words; None if it is the same."""
     try:
         marked = json.loads(marker.read_bytes())
     except (ValueError, RecursionError):
@@ -92,7 +92,7 @@ def _fault_of_marker(marker: Path, plan: Plan) -> str | None:
 
 
 def _require_ours(folder: Path) -> None:
-    """Raise `OutputExistsError` unless a folder is absent, empty or marked as one of batches, and is no link."""
+    """Raise `OutputExistsError` unless a folder is absent, empty or marked as one of batches, and is not a link."""
     with storage_errors(folder):
         if folder.is_symlink():
             raise OutputExistsError(f"{folder} is a symbolic link, which is not followed. {_ADVICE}")
@@ -103,12 +103,12 @@ def _require_ours(folder: Path) -> None:
         foreign = sorted(path.name for path in folder.iterdir() if not path.match(f".{_MARKER}.*"))  # not yet a marker
         if foreign and not (folder / _MARKER).is_file():
             raise OutputExistsError(
-                f"{folder} holds {foreign[0]!r} and no {_MARKER}: it is no folder of unfinished batches. {_ADVICE}"
+                f"{folder} holds {foreign[0]!r} and no {_MARKER}: it is not a folder of batches. {_ADVICE}"
             )
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder of batches, and what kills have left of such removals; whatever else is in it stays there.
+    """Remove a folder of batches, and the remains of removals that were killed; anything else in it is kept.
 
     It is renamed first, so that a kill never leaves half of it under its name, without its marker.
     """

@@ -46,16 +46,16 @@ class Room:
 
     @property
     def percent(self) -> int:
-        """A number below 100 that follows from the seed alone."""
+        """A number below 100 that depends only on the seed."""
         return int.from_bytes(hashlib.sha256(f"room {self.seed}".encode()).digest()[:8]) % 100
 
 
 @record(frozen=True, config=_STRICT)
 class CollectionRecord:
-    """What `collection.json` holds: the family that the rooms are drawn from, what was asked of the rays, the rooms.
+    """The content of `collection.json`: the family that the rooms are drawn from, the options, and the rooms.
 
     `family` is the family's recipe and `family_sha256` its hash. `options` are those of the generation, with the names
-    of `generate`. Rooms of `held_out_types` are for the test alone.
+    of `generate`. Rooms of `held_out_types` are only for the test.
     """
 
     name: str
@@ -123,7 +123,7 @@ class Collection:
 
     @property
     def description(self) -> str:
-        """What the collection holds, in lines: rooms by type and part, and what was asked for."""
+        """The content of the collection, in lines: rooms by type and part, and the options."""
         parts = {part: self.part(part) for part in PARTS}
         lines = [repr(self), "", f"{'type':16}" + "".join(f"{part:>12}" for part in PARTS)]
         for name in self.types:
@@ -147,12 +147,12 @@ class Collection:
 
     @cached_property
     def first_sample(self) -> Int[IntArray, "offsets"]:
-        """Number of each room's first sample among those of all R rooms in turn, then how many there are (R + 1,)."""
+        """Number of each room's first sample among those of all R rooms, then the number of all samples (R + 1,)."""
         counts = (room.num_tx * len(self.record.carrier_hz) for room in self.rooms)
         return np.array([*accumulate(counts, initial=0)])
 
     def by_room(self, numbers: Int[IntArray, "n"]) -> Iterator[tuple[int, Int[IntArray, "k"], Int[IntArray, "k"]]]:
-        """For each room that holds some of the samples: its number, their places in `numbers`, and their rows in it."""
+        """For each room that has some of the samples: its number, their indices in `numbers`, and their rows in it."""
         rooms = np.searchsorted(self.first_sample, numbers, side="right") - 1
         for room in np.unique(rooms).tolist():
             places = np.flatnonzero(rooms == room)
@@ -160,35 +160,35 @@ class Collection:
 
     @checked
     def part(self, name: Part) -> Collection:
-        """The rooms to train on, to choose settings by (`validation`), to test on, or those of types that are held out.
+        """The rooms to train on, to choose settings on (`validation`), to test on, or those of held-out types.
 
-        Of every hundred seeds about 80, 10 and 10 are of the first three parts. The part of a room follows from its
-        seed and type alone: it stays the same in a collection with more rooms. Raises `ArgumentError`.
+        About 80, 10 and 10 of a hundred seeds are in the first three parts. The part of a room depends only on its
+        seed and type: it is the same in a collection with more rooms. Raises `ArgumentError`.
         """
         return replace(self, rooms=tuple(room for room in self.rooms if self.part_of(room) == name))
 
     def part_of(self, room: Room) -> Part:
-        """The part that a room is of."""
+        """The part that a room belongs to."""
         if room.type in self.record.held_out_types:
             return "other-type"
         return "train" if room.percent < 80 else "validation" if room.percent < 90 else "test"
 
     @checked
     def select(self, types: Texts | None = None, num_rooms: PositiveInt | None = None) -> Collection:
-        """The rooms of some types, and of these the first `num_rooms`.
+        """The rooms of some types, or the first `num_rooms` of them.
 
-        Raises `UnknownNameError` for a type that no room is of, and `ArgumentError` where there are fewer rooms.
+        Raises `UnknownNameError` for a type that no room has, and `ArgumentError` if there are fewer rooms.
         """
         for name in types or ():
             if name not in self.types:
                 raise UnknownNameError("type of room", name, self.types)
         rooms = tuple(room for room in self.rooms if types is None or room.type in types)
         if num_rooms is not None and num_rooms > len(rooms):
-            raise ArgumentError(f"{num_rooms} rooms are asked for, but there are {len(rooms)}. Generate more of them.")
+            raise ArgumentError(f"{num_rooms} rooms are asked for, but there are {len(rooms)}. Generate more rooms.")
         return replace(self, rooms=rooms[:num_rooms])
 
     def verify(self) -> None:
-        """Read every byte of all data sets; raises `DataError` that names those that are missing, damaged or others."""
+        """Read every byte of all data sets; raises a `DataError` that names missing, damaged and replaced ones."""
         if not self.record.rooms:
             raise DataError(
                 f"{self.path} describes no room: its generation was not finished. Run the same command again."
@@ -198,11 +198,11 @@ class Collection:
             more = ", and others" if len(faults) > 5 else ""
             raise DataError(
                 f"{len(faults)} of {len(self)} rooms are missing or damaged: {', '.join(faults[:5])}{more}. "
-                "Run the command that generated them once more; it makes these again."
+                "Run the command that generated them again; it makes only these."
             )
 
     def faults(self) -> Iterator[tuple[Room, str]]:
-        """Every room whose data set is missing, damaged or another, with what is wrong; every byte is read."""
+        """Every room whose data set is missing, damaged or replaced, with the fault; every byte is read."""
         for room in self.rooms:
             try:
                 verify(self.path / room.file)
@@ -220,7 +220,7 @@ class Collection:
 def open_collection(path: FilePath) -> Collection:
     """The collection of rooms in a folder, or at an address (http, https) of one; data sets are opened later.
 
-    Raises `DataError` where there is no collection, or a damaged one, and `StorageError` where it cannot be read.
+    Raises `DataError` if there is no collection or it is damaged, and `StorageError` if it cannot be read.
     """
     folder = located(path)
     file = folder / FILE
@@ -231,13 +231,13 @@ def open_collection(path: FilePath) -> Collection:
         found = TypeAdapter(CollectionRecord).validate_json(content)
     except OSError as error:
         raise DataError(
-            f"{folder} holds no {FILE} that can be read ({error.strerror or error}). Give the folder of a whole "
+            f"{folder} has no {FILE} that can be read ({error.strerror or error}). Give the folder of a complete "
             "collection; if its generation was stopped, run the same command again."
         ) from error
     except ValidationError as error:
         fault = error.errors()[0]
         where = ".".join(map(str, fault["loc"])) or "the whole"
-        raise DataError(f"{file} describes no collection: {where}: {fault['msg']}. Generate it again.") from error
+        raise DataError(f"{file} is not a valid collection: {where}: {fault['msg']}. Generate it again.") from error
     return Collection(folder.resolve(), found, found.rooms)
 
 
@@ -251,11 +251,11 @@ def write_collection(
     carrier_hz: Sequence[float],
     held_out_types: Sequence[str] = (),
 ) -> Collection:
-    """Describe the data sets of a folder as a collection, in `collection.json`, and open it; raises `StorageError`."""
-    told = CollectionRecord(
+    """Write `collection.json` for the data sets of a folder, and open the collection; raises `StorageError`."""
+    content = CollectionRecord(
         name, dict(family), json_sha256(family), dict(options), tuple(carrier_hz), tuple(held_out_types), tuple(rooms)
     )
-    write_text(folder / FILE, TypeAdapter(CollectionRecord).dump_json(told, indent=1).decode() + "\n")
+    write_text(folder / FILE, TypeAdapter(CollectionRecord).dump_json(content, indent=1).decode() + "\n")
     return open_collection(folder)
 
 

@@ -1,7 +1,7 @@
-"""Reads data sets (schema `xfreqbench/pas/1`): what is small at once, maps when they are asked for.
+"""Reads data sets (schema `xfreqbench/pas/1`): small arrays at once, maps when they are asked for.
 
-A generated data set stores channels, and beside them the maps that are derived from them. A data set that others
-published as maps alone has no channels, and is read in the same way.
+A generated data set stores channels, and the maps that are derived from them. A data set that others published as
+maps has no channels, and is read in the same way.
 """
 
 from __future__ import annotations
@@ -54,19 +54,19 @@ class Sample(NamedTuple):
 class PasDataset:
     """N samples (transmitter, carrier) of a data set: all of it, or a subset.
 
-    `dataset[7]` is a `Sample`, and so is what iteration yields; a slice, whole numbers or a mask give a subset,
-    which is a `PasDataset` too. `rows` are the numbers of the samples in the whole data set: a sample's row is
-    tx_index · F + carrier index, where F is the number of carriers. Maps stay on disk until they are asked for, or
-    are derived from the channels where none are stored. `tables` hold what is small, of all transmitters and carriers:
+    `dataset[7]` is a `Sample`, and iteration yields samples; a slice, whole numbers or a mask select a subset, which
+    is a `PasDataset` too. `rows` are the numbers of the samples in the whole data set: a sample's row is
+    tx_index · F + carrier index, where F is the number of carriers. Maps are read from disk when they are asked for,
+    or derived from the channels if none are stored. `tables` holds the small arrays, of all transmitters and carriers:
     `tables["peak_power"].flat[rows]` is the peak power that each map was divided by, 0 where no path arrives and 1
     where it is not known; `num_paths`, likewise, is −1 where it is not known; and `tables["line_of_sight"][tx_index]`
-    says whether nothing stands between a transmitter and the array centre. A data set is pickled as its path and rows.
+    is true where nothing blocks the line from a transmitter to the array centre. A data set is pickled as its path and
+    rows.
 
-    A file may hold several links, one for each receiver and pair of polarizations: a data set shows one of them, with
-    its header as it is in a file of its own, and a `sha256` of its own. `file_header` tells of all links, and `link`
-    names the receiver and the pair that are shown, None where the file holds one alone; see `at` and `links`.
-    `other_receivers` is what a method may learn from where it is asked for a receiver that it has heard nothing of
-    (protocol `held-out-receiver`).
+    A file may hold several links, one for each receiver and pair of polarizations. A data set shows one of them, with
+    the header of a file with only this link, and its own `sha256`. `file_header` describes all links, and `link` names
+    the receiver and the pair that are shown, None if the file has only one; see `at` and `links`. `other_receivers`
+    are the data sets that a method may learn from if the tested receiver is held out (protocol `held-out-receiver`).
     """
 
     path: Path
@@ -118,7 +118,7 @@ class PasDataset:
         more = f" and {len(carriers_hz) - len(shown)} more" if len(shown) < len(carriers_hz) else ""
         elements = f"{header.receiver.num_elements} elements" if header.channels else "none"
         subset = {} if len(self) == num_samples else {"subset": f"{len(self)} of the {num_samples} samples"}
-        axes = zip(("receiver", "sent, heard"), self.link, self.file_header.link_names, strict=True)
+        axes = zip(("receiver", "tx and rx"), self.link, self.file_header.link_names, strict=True)
         links = {kind: f"{name}, of {', '.join(names)}" for kind, name, names in axes if names}
         return {
             **links,
@@ -134,17 +134,17 @@ class PasDataset:
 
     @checked
     def at(self, receiver: str | None = None, polarization: str | None = None) -> PasDataset:
-        """The same samples of another link of the file, of the same receiver or polarization where none is given.
+        """The same samples of another link of the file; the receiver or polarization stays the same if None.
 
-        Raises `UnknownNameError`, and `DataError` for what a method is given to train on, which is one link alone.
+        Raises `UnknownNameError`, and `DataError` for training data of a method, which have only one link.
         """
         if self._is_isolated:
-            raise DataError(f"{self.path} is shown to methods with one receiver and one polarization.")
+            raise DataError(f"{self.path} is given to methods with only one receiver and one polarization.")
         return open_dataset(self.path, receiver or self.link[0], polarization or self.link[1])[self.rows]
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the file's content; in a file of several links, of that and of which one is shown."""
+        """Hash of the file's content; for a file of several links also of the link that is shown."""
         if not self.file_header.link_axes:
             return self.file_sha256
         return json_sha256([self.file_sha256, *self.file_header.link(*self.link)])
@@ -156,10 +156,10 @@ class PasDataset:
 
     @property
     def scene(self) -> Scene:
-        """The scene that was traced; raises `DataError` where none is stored, as in maps that others published.
+        """The scene that was traced; raises `DataError` if none is stored, as in maps that others published.
 
-        The folder of its Mitsuba meshes is not stored: `replace(scene, folder=...)` says where they are. Before
-        data said so, every triangle of these mirrored.
+        The folder of its Mitsuba meshes is not stored: `replace(scene, folder=...)` sets it. In old data sets, which do
+        not say what reflects, every triangle of these meshes reflects.
         """
         try:
             scene = TypeAdapter(Scene).validate_json(self.header.scene_json)
@@ -168,13 +168,13 @@ class PasDataset:
             return replace(scene, **(stated or {"mirrors": "facets"})) if scene.scene else scene
         except ValidationError as error:
             raise DataError(
-                f"{self.path} does not say which scene it was traced in, as data that others published. Use a "
+                f"{self.path} does not say which scene it was traced in, like data that others published. Use a "
                 "data set that was generated."
             ) from error
 
     @property
     def trace_settings(self) -> TraceSettings:
-        """What was asked of the rays; raises `DataError` where not all of it is stored."""
+        """The settings of the rays; raises `DataError` if not all of them are stored."""
         try:
             stored = {field.name: self.header.settings[field.name] for field in fields(TraceSettings)}
             return TypeAdapter(TraceSettings).validate_python(stored)
@@ -183,7 +183,7 @@ class PasDataset:
 
     @cached_property
     def recipe(self) -> Recipe:
-        """What the whole data set follows from, the same on every machine; `str` names it: `office@2-3f9c2ab1`."""
+        """The recipe of the whole data set, the same on every machine; `str` gives its name, `office@2-3f9c2ab1`."""
         try:
             how = self.scene, self.trace_settings
         except DataError:
@@ -213,22 +213,22 @@ class PasDataset:
 
     @cached_property
     def cfr(self) -> Complex[NDArray[np.complex64], "N M"]:
-        """Channel of each sample at the array's elements (Eq. 1); raises `DataError` for a data set of maps alone."""
+        """Channel of each sample at the array's elements (Eq. 1); raises `DataError` for data without channels."""
         if not self.header.channels:
-            raise DataError(f"{self.path} holds maps alone, no channels. Use `pas`, or a data set that was generated.")
+            raise DataError(f"{self.path} has maps, but no channels. Use `pas`, or a data set that was generated.")
         return self.tables["cfr"].reshape(-1, self.header.receiver.num_elements)[self.rows]
 
     def pas(self, rows: Rows | int = slice(None)) -> Float[NDArray[np.float32], "n E A"]:
         """Maps of some samples, with peak 1; one number gives (1, E, A). Raises `DataError` and `IndexError`.
 
-        A map takes 130 kB of memory. Above a gigabyte it warns.
+        A map takes 130 kB of memory. For more than a gigabyte there is a warning.
         """
         rows = chosen_rows(rows, len(self))
         num_bytes = len(self.rows[rows]) * 4 * prod(self.grid.shape)
         if num_bytes > 1e9:
             warnings.warn(
                 f"pas() reads {len(self.rows[rows])} maps of {self.path}, {num_bytes / 1e9:.1f} GB. pas(rows) reads "
-                "some of them, as in pas([0, 7]) or pas(slice(0, 64)), and a loop over the data set one by one.",
+                "some of them, as in pas([0, 7]) or pas(slice(0, 64)); a loop over the data set reads one at a time.",
                 stacklevel=2,
             )
         if not self.header.maps:
@@ -236,7 +236,7 @@ class PasDataset:
         asked = self.rows[rows]
         tx, carrier = np.divmod(asked, self.header.num_carriers)
         maps = np.empty((len(asked), *self.grid.shape), np.float32)
-        # what follows one another of a transmitter's carriers is read at once
+        # consecutive carriers of a transmitter are read at once
         starts = np.flatnonzero((np.diff(asked, prepend=-2) != 1) | (carrier == 0)).tolist()
         with self._file() as file, hdf5.read_errors(self.path, "dataset 'pas'"):
             stored = file["pas"]
@@ -247,7 +247,7 @@ class PasDataset:
 
     @contextmanager
     def _file(self) -> Iterator[Any]:
-        """The file, open; raises as `hdf5.open_sealed`, and `DataError` where another lies there by now."""
+        """The file, open; raises as `hdf5.open_sealed`, and `DataError` if the file was replaced."""
         with hdf5.open_sealed(self.path, SCHEMA) as file:
             if hdf5.sealed_sha256(file) != self.file_sha256:
                 raise DataError(f"{self.path} is another file than when it was opened. Open it again.")
@@ -257,7 +257,7 @@ class PasDataset:
     def paths(self, sample: int) -> SamplePaths:
         """The paths of a sample to the array centre, by its number; negative ones count from the end.
 
-        Raises `IndexError`, and `DataError` where no paths are stored, as without `generate --paths`, or are damaged.
+        Raises `IndexError`, and `DataError` if paths are not stored (see `generate --paths`) or damaged.
         """
         tx, carrier = divmod(int(self[[sample]].rows[0]), self.header.num_carriers)
         first = tx * max(1, len(self.file_header.receivers)) + self.file_header.link(*self.link)[0]
@@ -265,9 +265,9 @@ class PasDataset:
         return SamplePaths.of(stored, carrier, self.header, surface_names)
 
     def _paths(self, offsets: slice) -> tuple[RaggedPaths, tuple[str, ...]]:
-        """Paths of some of the file's transmitters and receivers, one behind the other, and all surfaces' names."""
+        """Paths of some of the file's transmitters and receivers, concatenated, and the names of all surfaces."""
         if OFFSET not in self.tables:
-            hidden, absent = "is shown to methods without its paths.", "holds no paths. Generate it with --paths."
+            hidden, absent = "is given to methods without its paths.", "holds no paths. Generate it with --paths."
             raise DataError(f"{self.path} {hidden if self.header.paths else absent}")
         with self._file() as file, hdf5.read_errors(self.path, f"group {GROUP!r}"):
             totals = stored_totals(file)
@@ -278,7 +278,7 @@ class PasDataset:
 
 
 def stored_paths(dataset: PasDataset) -> tuple[RaggedPaths, tuple[str, ...]]:
-    """All paths of a whole data set, one behind the other, and the surfaces' names; raises as `PasDataset.paths`."""
+    """All paths of a whole data set, concatenated, and the names of the surfaces; raises as `PasDataset.paths`."""
     of_all, surface_names = dataset._paths(slice(None))
     header = dataset.file_header
     return of_all.every(max(1, len(header.receivers)), header.link(*dataset.link)[0]), surface_names
@@ -291,10 +291,10 @@ def links(dataset: PasDataset) -> Iterator[PasDataset]:
 
 
 def isolated(dataset: PasDataset) -> PasDataset:
-    """The same samples, with the channels of all others set to zero: what a method is given to train on.
+    """The same samples, with the channels of all others set to zero: the training data of a method.
 
-    It is a copy, so that whatever a method writes there changes nothing elsewhere. The paths are left out, for they
-    tell of the carriers that are tested.
+    It is a copy, so a method that writes to it changes nothing else. It has no paths, because they would reveal the
+    tested carriers.
     """
     tables = {name: table.copy() for name, table in dataset.tables.items() if name != OFFSET}
     for name in tables.keys() & {"cfr", "peak_power", "num_paths"}:
@@ -307,12 +307,12 @@ def isolated(dataset: PasDataset) -> PasDataset:
 
 @checked
 def open_dataset(path: FilePath, receiver: str | None = None, polarization: str | None = None) -> PasDataset:
-    """The samples of a data set; raises `DataError` for a file that is missing, damaged or no data set.
+    """The samples of a data set; raises `DataError` for a file that is missing, damaged or not a data set.
 
-    Of a file with several receivers or pairs of polarizations, one of each is opened: the first where none is named.
-    Raises `UnknownNameError` for one that the file does not hold, and `StorageError` where it cannot be read.
+    If a file has several receivers or pairs of polarizations, one of each is opened: the first unless one is named.
+    Raises `UnknownNameError` for one that the file does not have, and `StorageError` if the file cannot be read.
 
-    `path` may be an address (http, https). Of a file there, header and channels are read, and maps when they are asked
+    `path` may be an address (http, https). Then header and channels are read at once, and maps when they are asked
     for, in ranges of bytes; each is compared with its hash or checksum. Needs `pip install "xfreqbench[remote]"`.
     """
     path = located(path)
@@ -348,7 +348,7 @@ def open_dataset(path: FilePath, receiver: str | None = None, polarization: str 
 
 
 def _at(whole: DatasetHeader, link: tuple[str | None, str | None]) -> tuple[int, ...]:
-    """Where a link is along the axes that a file has for links."""
+    """The indices of a link along the axes that a file has for links."""
     return tuple(number for names, number in zip(whole.link_names, whole.link(*link), strict=True) if names)
 
 
@@ -382,9 +382,9 @@ def verify(path: str | Path) -> None:
 
 
 def holds_same_job(path: Path, header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> bool:
-    """Whether `path` holds the whole data set of a header and transmitters; False if it is absent.
+    """Whether `path` holds the complete data set of a header and transmitters; False if it is absent.
 
-    Which software made it makes no difference: see `job_of`. Raises `OutputExistsError`, which says what differs, for
+    It does not matter which software made it: see `job_of`. Raises `OutputExistsError`, which says what differs, for
     another file, and `StorageError` for one that another program holds open.
     """
     asked = job_of(header, tx_position_m)
@@ -394,7 +394,7 @@ def holds_same_job(path: Path, header: DatasetHeader, tx_position_m: Float[Float
             verify(file)
             existing = open_dataset(file)
         except DataError as error:
-            return f"holds no data set that can be read: {error}"
+            return f"is not a data set that can be read: {error}"
         differing = job_differences(asked, job_of(existing.file_header, existing.tables["tx_position_m"]))
         return f"holds another data set: {differing}" if differing else None
 

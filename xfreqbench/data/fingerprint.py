@@ -20,7 +20,7 @@ from xfreqbench.units import format_ghz
 
 TOLERANCE = 1e-3  # of solver `image`; traced with other carriers, shipped scenes differ by up to 5e-4
 MIN_TRANSMITTERS = 4  # in common; with fewer, none may see what was changed
-_ENDING, _ADVICE = "_fingerprint.npz", "If it came with xfreqbench, install that again; else make it anew."
+_ENDING, _ADVICE = "_fingerprint.npz", "If it came with xfreqbench, install that again; otherwise make it again."
 
 
 class _About(BaseModel):
@@ -41,11 +41,11 @@ class Fingerprint:
 
 @dataclass(frozen=True)
 class FingerprintMatch:
-    """How far a data set is from the fingerprint of its recipe.
+    """The difference of a data set from the fingerprint of its recipe.
 
     `difference` is ‖h − h′‖ / ‖h′‖, where h is stored and h′ is the fingerprint: the median over the transmitters in
-    common, at the carrier where that is greatest, `worst_carrier_hz`. `tolerance` is what the solver is allowed. Where
-    nothing was compared, `difference` is None, and `why_not` says why.
+    common, at the carrier where that is greatest, `worst_carrier_hz`. `tolerance` is the limit for the solver. If
+    nothing was compared, `difference` is None, and `why_not` gives the reason.
     """
 
     recipe: Recipe
@@ -58,7 +58,7 @@ class FingerprintMatch:
 
     @property
     def difference_db(self) -> float:
-        """`difference` in decibels, −∞ where the channels are equal; raises `ValueError` where none were compared."""
+        """`difference` in decibels, −∞ if the channels are equal; raises `ValueError` if none were compared."""
         if self.difference is None:
             raise ValueError(self.why_not)
         with np.errstate(divide="ignore"):
@@ -66,7 +66,7 @@ class FingerprintMatch:
 
     @property
     def is_off(self) -> bool:
-        """Whether the channels are more than `tolerance` off, so that `run` refuses them."""
+        """Whether the channels differ by more than `tolerance`, so that `run` refuses them."""
         return self.difference is not None and not self.difference <= self.tolerance
 
     @property
@@ -93,7 +93,7 @@ class FingerprintMatch:
 def compare_fingerprint(dataset: PasDataset) -> FingerprintMatch:
     """Compare a whole data set with the fingerprint of its recipe, in milliseconds.
 
-    Transmitters are matched by their positions to a micrometre. Raises `DataError` where a shipped fingerprint is
+    Transmitters are matched by their positions to a micrometre. Raises `DataError` if a shipped fingerprint is
     damaged.
     """
     # Sionna misses more of the weak paths: up to 4e-2 with the default rays
@@ -121,12 +121,12 @@ def compare_fingerprint(dataset: PasDataset) -> FingerprintMatch:
 
 
 def require_fingerprint(dataset: PasDataset) -> FingerprintMatch:
-    """As `compare_fingerprint`; raises `DataError` for channels that are more than the tolerance off."""
+    """As `compare_fingerprint`; raises `DataError` for channels that differ by more than the tolerance."""
     match = compare_fingerprint(dataset)
     if match.is_off:
         raise DataError(
             f"{dataset.path} says that it is {match.recipe}, but its channels differ from the reference of that: "
-            f"{match}, where {match.tolerance:g} is allowed. They were traced in another scene, with too few rays or "
+            f"{match}; {match.tolerance:g} is allowed. They were traced in another scene, with too few rays or "
             "by other software, or were changed afterwards. Generate them again, as with: xfreqbench generate "
             f"{match.recipe.scene_name}; a scene of your own is generated from its own TOML."
         )
@@ -138,8 +138,8 @@ def field_differences(
 ) -> Float[FloatArray, "F"]:
     """Median over T transmitters of ‖h − h′‖ / ‖h′‖, at each carrier, over M elements; h′ is `expected`.
 
-    It is the median, since a solver may miss a rare path of single transmitters. Without a path in h′ the quotient is
-    0 where h has none either, else infinite.
+    It is the median, because a solver may miss a rare path of single transmitters. Without a path in h′ the quotient
+    is 0 if h has none either, and otherwise infinite.
     """
     off, length = (np.linalg.norm(vector, axis=2) for vector in (cfr - expected.astype(complex), expected))
     relative = np.where(off == 0, 0.0, np.inf)
@@ -153,13 +153,13 @@ def fingerprint_path(scene_name: str, *, diffraction: bool = True) -> Path:
 
 
 def read_fingerprint(path: Path) -> Fingerprint:
-    """A stored fingerprint; raises `DataError` where it is missing or damaged."""
+    """A stored fingerprint; raises `DataError` if it is missing or damaged."""
     wanted = {"about": "text", "tx_position_m": "<f8 T 3", "carrier_hz": "<f8 F", "cfr": "<c8 T F M"}
     stored = read_arrays(path, wanted, _ADVICE)
     try:
         about = _About.model_validate_json(str(stored.pop("about")))
     except ValidationError as error:
-        raise DataError(f"{path} does not tell of what scene it is. {_ADVICE}") from error
+        raise DataError(f"{path} does not name its scene. {_ADVICE}") from error
     return Fingerprint(about.scene, about.physics_sha256, **stored)
 
 

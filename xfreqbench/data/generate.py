@@ -37,15 +37,15 @@ def generate(scene: FilePath | InstanceOf[Scene], output: FilePath, options: Gen
     """Trace a scene at some carriers, write channels and maps to the file `output`, and open it.
 
     `scene` is a shipped scene's name, the path of a scene TOML, or a `Scene`. The options are those of
-    `xfreqbench generate`, by the same names and with the same defaults; where that takes names with commas, they are
-    a list here, and `tx_positions` is an array (T, 3) in metres, for which the scene needs no grid. `progress` shows on
-    stderr how far it is, as bars on a terminal and as a line every ten seconds elsewhere; `auto` does so on a terminal
-    and in a notebook alone. `tell` is given counts and size of what will be traced, in a few lines, before the first
-    ray. A file with several receivers or polarizations holds a link for each receiver and pair, of which the first is
-    opened; see `PasDataset.at`.
+    `xfreqbench generate`, with the same names and defaults. Names that the command takes with commas are a list here,
+    and `tx_positions` is an array (T, 3) in metres, for which the scene needs no grid. `progress` shows the progress on
+    stderr, as bars on a terminal and as a line every ten seconds elsewhere; with `auto` only on a terminal and in a
+    notebook. `tell` is called with a summary of what will be traced, a few lines, before the first ray. A file with
+    several receivers or polarizations has a link for each receiver and pair, and the first one is opened; see
+    `PasDataset.at`.
 
-    The same call goes on where a killed one stopped, and opens what is finished: see `generate_planned`, also for
-    what is raised. A mistake is an `XFreqBenchError`, before the first ray where that is possible.
+    The same call continues where a killed one stopped, and opens a finished output: see `generate_planned`, also for
+    what is raised. A mistake is an `XFreqBenchError`, before the first ray if possible.
     """
     with announcing(options.progress) as is_shown:
         plan = plan_generation(scene, options)
@@ -57,7 +57,7 @@ def generate(scene: FilePath | InstanceOf[Scene], output: FilePath, options: Gen
         ):
             dataset = open_dataset(generate_planned(plan, Path(output), tracing, writing, workers))
     if options.tell and (differing := differences(plan.header.software, dataset.header.software)):
-        options.tell(f"{output} was traced by other software, {differing}, and has the same recipe: it stays as it is.")
+        options.tell(f"{output} was traced by other software, {differing}, and has the same recipe: it is kept.")
     return dataset
 
 
@@ -68,17 +68,17 @@ def generate_planned(
     write_progress: ProgressCallback = ignore_progress,
     workers: Workers = HERE,
 ) -> Path:
-    """Trace every transmitter of a plan, then write the data set; a killed run goes on where it stopped.
+    """Trace every transmitter of a plan, then write the data set; a killed run continues where it stopped.
 
-    `progress` and `write_progress` are told, for either stage, how many transmitters are done and how many there
-    are. `workers` trace; the file is written in this process, and is the same whoever traced.
+    `progress` and `write_progress` are called, for each stage, with the number of transmitters that are done and of
+    all. `workers` trace; this process writes the file, which is the same for all workers.
 
-    Finished batches are kept beside the output, in `PATH.parts`, until the file is whole; only the same code and
-    software go on with them. Before the file gets its name, four of its samples are traced again from its own header,
-    and one of each batch that a process before this one has traced. An output that already holds this job is left as
-    it is, whichever software made it. Raises `OutputExistsError` for one that holds another, `StorageError` where there
-    is no room or another process writes it, `DataError` where a sample differs, and `ClusterError` for workers whose
-    solvers differ, or that die.
+    Finished batches are kept next to the output, in `PATH.parts`, until the file is complete; only the same code and
+    software use them again. Before the file gets its name, four of its samples are traced again from its own header,
+    and one of each batch that an earlier process has traced. An output that already holds this job is kept, whichever
+    software made it. Raises `OutputExistsError` for an output that holds another job, `StorageError` if there is no
+    space or another process writes it, `DataError` if a sample differs, and `ClusterError` for workers whose solvers
+    differ, or that die.
     """
     num_tx = len(plan.tx_position_m)
     is_whole = holds_same_job(path, plan.header, plan.tx_position_m)
@@ -110,7 +110,7 @@ def _trace_missing(plan: Plan, store: BatchStore, report: ProgressCallback, work
 
 
 def _write(plan: Plan, store: BatchStore, path: Path, report: ProgressCallback, workers: Workers) -> None:
-    """Derive the maps of each batch, write it, and let the file prove its origin before it gets its name."""
+    """Derive the maps of each batch, write it, and check the origin of the file before it gets its name."""
     beam = BartlettBeam(plan.header.receiver.element_position_wavelengths, AngularGrid.hemisphere())
 
     def prove(written: Path) -> None:
@@ -144,7 +144,7 @@ def _sampled(plan: Plan, kept: Sequence[int]) -> IntArray:
 def estimate_seconds(plan: Plan, probes: int = 4) -> float:
     """Time in seconds that the job will take here, estimated by tracing a few of its transmitters.
 
-    Compilation is not counted: it happens here, and what is compiled is stored.
+    Compilation is not included: it happens now, and its result is stored.
     """
     spread = np.linspace(0, len(plan.tx_position_m) - 1, probes).astype(int)
     times = []

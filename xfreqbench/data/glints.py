@@ -1,4 +1,4 @@
-"""What a data set with `mirrors = "patches"` leaves out: chains of reflections by facets that are no mirrors."""
+"""The paths that a data set with `mirrors = "patches"` leaves out: reflections by facets that are not mirrors."""
 
 from __future__ import annotations
 
@@ -21,10 +21,9 @@ from xfreqbench.units import format_ghz
 
 @dataclass(frozen=True, eq=False)
 class Glints:
-    """Paths of n transmitters to the array centre where patches mirror, and where every facet does.
+    """Paths of n transmitters to the array centre, with patches as mirrors, and with every facet as a mirror.
 
-    `num_paths` and, at F carriers, the sum of |gain|² over paths, `power`, are first of the patches, then of the
-    facets.
+    `num_paths` and, at F carriers, the sum of |gain|² over paths, `power`, are first for patches, then for facets.
     """
 
     carrier_hz: Float[FloatArray, "F"]
@@ -39,21 +38,21 @@ class Glints:
             for own, carrier in zip(share.T, self.carrier_hz.tolist(), strict=True)
         )
         return (
-            f"glints     where every facet mirrors, solver sionna finds {facets} paths of {self.num_paths.shape[1]} "
+            f"glints     with every facet as a mirror, solver sionna finds {facets} paths of {self.num_paths.shape[1]} "
             f"transmitters; patches leave out {facets - patches}, and of the power, in the median, {shares}"
         )
 
 
 def glints(dataset: PasDataset, number: int, seed: int = 0, folder: Path | None = None) -> Glints:
-    """Trace so many of a data set's transmitters, drawn by `seed`, with its own mirrors and with all facets.
+    """Trace `number` of a data set's transmitters, drawn by `seed`, with its own mirrors and with all facets.
 
-    Both are traced by solver `sionna`, which takes any number of mirrors, with the depth and rays of the header.
-    Meshes are looked for as `traced_scene` does. Raises `DataError` for data in which every facet mirrors.
+    Solver `sionna` traces both, because it takes any number of mirrors, with the depth and rays of the header.
+    `traced_scene` says where meshes are searched. Raises `DataError` for data in which every facet is a mirror.
     """
     scene = traced_scene(dataset, folder)
     if scene.scene is None or scene.least_patch is None:
         why = "has no meshes" if scene.scene is None else "says mirrors = 'facets'"
-        raise DataError(f"{dataset.path} leaves no mirror out: its scene {why}.")
+        raise DataError(f"{dataset.path} leaves out no mirror: its scene {why}.")
     positions_m = dataset.tables["tx_position_m"]
     rows = np.random.default_rng(seed).choice(len(positions_m), min(number, len(positions_m)), replace=False)
     both, tx_m = (scene, replace(scene, mirrors="facets")), positions_m[np.sort(rows)]

@@ -57,8 +57,8 @@ class Variable:
     Chunks may be `compressed`, by shuffling bytes and deflate. A variable whose only axis has its own name is the
     coordinate of that axis. A name may begin with a group, as in `lofo-77GHz/train_row`; the names of axes in the
     group then begin with it too. `flags` are the values that a variable may have, with the word for each, and
-    `coordinates` the variables that say more of its rows; other programs read both, by the CF conventions. So they
-    do with `scale_factor`, by which they multiply the numbers of variables of type `PACKED` (see `packed`).
+    `coordinates` the variables that say more of its rows; other programs read both, by the CF conventions. They also
+    read `scale_factor`, and multiply the numbers of variables of type `PACKED` by it (see `packed`).
     """
 
     name: str
@@ -94,7 +94,7 @@ class SealedWriter:
         self._digests = {name: _description_digest(file[name]) for name in self._variables}
 
     def append(self, name: str, rows: NDArray[Any]) -> None:
-        """Write the next rows of a variable; raises `DataError` where they do not fit and `StorageError`."""
+        """Write the next rows of a variable; raises `DataError` if they do not fit, and `StorageError`."""
         variable, start = self._variables[name], self._num_rows[name]
         if variable.dtype == PACKED:
             rows = packed(rows)
@@ -109,7 +109,7 @@ class SealedWriter:
         self._num_rows[name] += len(rows)
 
     def seal(self) -> None:
-        """Store the hashes; raises `DataError` where rows are missing."""
+        """Store the hashes; raises `DataError` if rows are missing."""
         for name, variable in self._variables.items():
             if self._num_rows[name] != variable.shape[0]:
                 raise DataError(f"{name!r} got {self._num_rows[name]} of its {variable.shape[0]} rows.")
@@ -126,10 +126,10 @@ def create_sealed(
     groups: Mapping[str, Mapping[str, str]] | None = None,
     prove: Callable[[Path], None] | None = None,
 ) -> Iterator[SealedWriter]:
-    """Write a sealed file: a context manager. The file appears at `path`, whole, when the block ends.
+    """Write a sealed file: a context manager. The complete file appears at `path` when the block ends.
 
     `groups` are the attributes of the groups that variables are in, by the group's name. `prove` is called with the
-    sealed file before it gets its name; if it raises, there will be none. Raises as `atomic_path` does.
+    sealed file before it gets its name; if it raises, the file is removed. Raises as `atomic_path` does.
     """
     num_bytes = sum(variable.num_bytes for variable in variables) + (1 << 20)  # more than any header needs
     with atomic_path(path, num_bytes) as temporary:
@@ -159,18 +159,18 @@ def create_sealed(
 def open_sealed(path: Path, schema: str) -> Iterator[Any]:
     """Open a file of a schema to read; raises `DataError` for one that is missing, damaged or of another schema.
 
-    Whatever is read of it is checked: headers, and data in chunks, by the checksums of HDF5, other data by
+    Everything that is read is checked: headers and data in chunks by the checksums of HDF5, other data by
     `read_array`. A file that another program opened to write is refused. Raises `StorageError` for one that another
     program holds open to write, or that may not be read.
     """
     with open_foreign(path, advice="Generate it again.") as file, _bytes_of(path) as stored:
         found = _text(file, "schema") if "schema" in file.attrs else "none"
         if found != schema:
-            raise DataError(f"{path} has schema {found!r}, but {schema!r} is read here.")
+            raise DataError(f"{path} has schema {found!r}, but schema {schema!r} is needed.")
         stored.seek(-len(_TRAILER) - 64, SEEK_END)
         if stored.read(len(_TRAILER)) != _TRAILER:  # HDF5 overwrites it in any file that it opens to write
             raise DataError(
-                f"{path} does not end in its sha256: it was not written to its end, or another program opened it "
+                f"{path} does not end in its sha256: it was not written completely, or another program opened it "
                 "to write and may have changed it. Generate it again."
             )
         yield file
@@ -183,19 +183,19 @@ def _bytes_of(path: Path) -> AbstractContextManager[Any]:
 
 @contextmanager
 def read_errors(path: Path, what: str = "the file", advice: str = "Generate it again.") -> Iterator[None]:
-    """Turn any exception that h5py raises on damaged bytes into a `DataError` that names `what` was read.
+    """Turn any exception that h5py raises for damaged bytes into a `DataError` that names `what` was read.
 
-    Errors that do not speak of damaged data become a `StorageError`: of a lock, and those of `system_errors`.
+    Errors of locks, and those of `system_errors`, become a `StorageError`.
     """
     try:
         with system_errors(path):
             try:
                 yield
             except OSError as error:
-                # a killed program leaves a mark in the file, of which HDF5 speaks so
+                # a killed program leaves a mark in the file, and HDF5 uses these words for it
                 if isinstance(error, BlockingIOError) or "already open for write" in str(error):
                     raise StorageError(
-                        f"{path} is in use: another program has opened it to write. Close it there and do the same "
+                        f"{path} is in use: another program has opened it to write. Close it there and try "
                         "again; if that program was killed, run: h5clear -s FILE"
                     ) from error
                 bytearray(_BLOCK_BYTES)  # HDF5 does not say that it found no memory, but this does
@@ -218,7 +218,7 @@ def open_foreign(
     what: str = "the file",
     advice: str = "Write it again with h5py, h5write of MATLAB, or another HDF5 library.",
 ) -> Iterator[Any]:
-    """Open an HDF5 file that anybody wrote, to read `what` of it; raises as `read_errors`, and where it is missing."""
+    """Open an HDF5 file of any origin, to read `what` of it; raises as `read_errors`, and if it is missing."""
     with read_errors(path, what, advice):
         source = path.ranges() if isinstance(path, RemotePath) else path
         if source is path and path.is_dir():
@@ -235,9 +235,9 @@ def is_group(item: Any) -> bool:
 
 
 def foreign_item(group: Any, name: str) -> Any:
-    """A group or a dataset that a group holds itself; None for anything else, and for chunks far larger than all.
+    """A group or a dataset that a group holds itself; None for anything else, and for chunks far larger than the data.
 
-    Reading a link, or a dataset whose values are elsewhere, would read whatever file is named there.
+    Reading a link, or a dataset whose values are elsewhere, would read any file that it names.
     """
     item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
     if not isinstance(item, h5py.Dataset):
@@ -267,7 +267,7 @@ def require_layout(file: Any, variables: Sequence[Variable]) -> None:
 
 
 def _dataset(file: Any, name: str) -> Any:
-    """A dataset that the file can hold: a few damaged bytes may claim terabytes, which are not to be allocated."""
+    """A dataset that fits into the file: a few damaged bytes may claim terabytes, which must not be allocated."""
     stored = file.get(name)
     if not isinstance(stored, h5py.Dataset):
         raise ValueError(f"it has no dataset {name!r}")
@@ -329,7 +329,7 @@ def _set_texts(owner: Any, texts: Mapping[str, str | int]) -> None:
 def _text(owner: Any, name: str) -> str:
     value = owner.attrs[name]
     text = value.decode() if isinstance(value, bytes) else str(value)
-    text.encode()  # `ValueError` for bytes that are no UTF-8, which h5py lets pass
+    text.encode()  # `ValueError` for bytes that are not UTF-8, which h5py accepts
     return text
 
 
@@ -383,7 +383,7 @@ def _seal_of(file: Any) -> str:
     """A sha256 over the hashes of all datasets in sorted order, the header and the attributes of the groups."""
     hashes = {name: _text(file[name], "sha256") for name in _dataset_names(file)}
     groups = {name: text_attributes(file[name]) for name in file if is_group(file[name])}
-    # references say more of data that stay the same, and so does their hash
+    # references describe the data and do not change them, so they are not hashed
     header = {name: text for name, text in text_attributes(file).items() if name != "references"}
     return json_sha256([hashes, header, *([groups] if groups else [])])
 

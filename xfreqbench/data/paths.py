@@ -57,7 +57,7 @@ class PathTotals(NamedTuple):
 class ImpulseResponse:
     """The channel of a sample as P paths to each of M array elements, in complex baseband about its carrier.
 
-    h_m(t) = Σ_p gain[p, m]·δ(t − delay_s[p, m]). `gain` holds exp(−j2πf·delay), f the carrier, so that the sum over
+    h_m(t) = Σ_p gain[p, m]·δ(t − delay_s[p, m]). `gain` includes exp(−j2πf·delay), f the carrier, so that the sum over
     paths is the channel at the carrier (Eq. 1). Delays are travel times to each element, in seconds.
     """
 
@@ -68,13 +68,13 @@ class ImpulseResponse:
     def cfr(self, offset_hz: Sequence[float] | Float[FloatArray, "K"]) -> Complex[NDArray[np.complex128], "K M"]:
         """Channel at K frequencies, given as offsets from the carrier: Σ_p gain·exp(−j2π·offset·delay).
 
-        Gains stay as at the carrier. Raises `DataError` for offsets that are not numbers, or that reach as far as the
+        Gains are those at the carrier. Raises `DataError` for offsets that are not numbers, or not smaller than the
         carrier.
         """
         offset_hz = np.asarray(offset_hz, dtype=np.float64)
         if not (np.abs(offset_hz) < self.carrier_hz).all():
             raise DataError(
-                f"Frequencies are given as offsets from the carrier, {format_ghz(self.carrier_hz)}, which is 0 itself, "
+                f"Frequencies are given as offsets from the carrier, {format_ghz(self.carrier_hz)}, whose offset is 0, "
                 f"but got {offset_hz.tolist()} Hz. Give offsets within the band of the channel."
             )
         response = [
@@ -88,17 +88,17 @@ class ImpulseResponse:
 class SamplePaths:
     """The P paths from one transmitter to the array centre at one carrier, the earliest first.
 
-    `gain` is the complex amplitude at the array centre, received over transmitted: antennas, interactions and
-    spreading (λ/4πd) are in it, and the travel phase is **not**: the channel at the centre is
-    Σ gain·exp(−j2πf·delay_s), time running as exp(+j2πft). Delays are travel times to the centre, in seconds.
+    `gain` is the complex amplitude at the array centre, received over transmitted. It includes antennas, interactions
+    and spreading (λ/4πd), but **not** the travel phase: the channel at the centre is Σ gain·exp(−j2πf·delay_s), time
+    running as exp(+j2πft). Delays are travel times to the centre, in seconds.
 
-    Azimuths (from +x towards +y, in (−π, π]) and elevations (above the xy plane) are in radians and in **world**
-    axes: of the direction from the receiver to where the path comes from (arrival), and of the direction from the
-    transmitter in which it leaves (departure). `arrival` and `departure` are the same as unit vectors.
+    Azimuths (from +x towards +y, in (−π, π]) and elevations (above the xy plane) are in radians and in **world** axes:
+    of the direction from the receiver towards the last interaction (arrival), and of the direction from the
+    transmitter towards the first (departure). `arrival` and `departure` are the same as unit vectors.
 
-    The interactions of a path, D at most, are in order from the transmitter: `interactions` are their codes, padded
-    with 0 (1 specular, 2 diffuse, 4 refraction, 8 diffraction, as in Sionna RT), `surfaces` the index of each surface
-    that is met in `surface_names`, padded with −1, and `vertices_m` where it is met in the world, padded with NaN.
+    The interactions of a path, at most D, are in order from the transmitter: `interactions` are their codes, padded
+    with 0 (1 specular, 2 diffuse, 4 refraction, 8 diffraction, as in Sionna RT), `surfaces` are the indices of the
+    surfaces in `surface_names`, padded with −1, and `vertices_m` the points in the world, padded with NaN.
     """
 
     carrier_hz: float
@@ -133,7 +133,7 @@ class SamplePaths:
     def impulse_response(self) -> ImpulseResponse:
         """The channel of every path at the elements of the array, each path as one spherical wave (`element_delays_s`).
 
-        Power and polarisation are those at the centre for all elements.
+        All elements have the power and polarisation of the centre.
         """
         receiver, wavelength_m = self.receiver, SPEED_OF_LIGHT_M_S / self.carrier_hz
         element_m = receiver.element_position_m(wavelength_m) - receiver.position_m
@@ -169,7 +169,7 @@ class SamplePaths:
 
 
 def path_variables(header: DatasetHeader, totals: PathTotals) -> list[Variable]:
-    """The variables of the group, in the order of the file; all but the offsets of transmitters are compressed."""
+    """The variables of the group, in the order of the file; all except the offsets of transmitters are compressed."""
     P, N, R = totals.num_paths, totals.num_points, max(1, len(header.receivers))
     pairs = [POLARIZATION] if header.polarizations else []
     away = "from the receiver to where the path comes from, world axes"
@@ -206,21 +206,21 @@ def path_variables(header: DatasetHeader, totals: PathTotals) -> list[Variable]:
 
 
 def stored_totals(file: Any) -> PathTotals:
-    """What an open data set stores; raises `ValueError` or another error of reading where it is damaged."""
+    """The totals that an open data set stores; raises `ValueError` or another error of reading if it is damaged."""
     names = json.loads(text_attributes(file[GROUP])["surfaces_json"])
     is_double = file[f"{GROUP}/vertex_m"].dtype == np.float64
     return PathTotals(file[_PATH].shape[0], file[_POINT].shape[0], tuple(map(str, names)), bool(is_double))
 
 
 def stored_offsets(file: Any, num_paths: int) -> Int[IntArray, "T1"]:
-    """First path of each transmitter, then the number of all paths; raises `ValueError` where they do not ascend."""
+    """First path of each transmitter, then the number of all paths; raises `ValueError` if they do not ascend."""
     offset = read_array(file, OFFSET)
     _require_ascending(OFFSET, offset, 0, num_paths)
     return offset
 
 
 def read_paths(file: Any, totals: PathTotals, tx_offset: Int[IntArray, "T1"]) -> RaggedPaths:
-    """Paths of some transmitters, one behind the other, of an open data set; raises `ValueError` for nonsense.
+    """Paths of some transmitters of an open data set, concatenated; raises `ValueError` for invalid values.
 
     `tx_offset` is a part of `stored_offsets`: that of T transmitters, each at every receiver, and the next.
     """
@@ -236,9 +236,9 @@ def read_paths(file: Any, totals: PathTotals, tx_offset: Int[IntArray, "T1"]) ->
             raise ValueError(f"dataset '{GROUP}/{name}' holds numbers that are not finite")
     surface = values["surface"]
     if ((surface < 0) | (surface >= len(totals.surface_names))).any():
-        raise ValueError(f"dataset '{GROUP}/surface' names surfaces that are not there")
+        raise ValueError(f"dataset '{GROUP}/surface' names surfaces that do not exist")
     if not np.isin(values["interaction"], list(INTERACTION_CODES.values())).all():
-        raise ValueError(f"dataset '{GROUP}/interaction' holds codes that stand for no interaction")
+        raise ValueError(f"dataset '{GROUP}/interaction' holds codes of unknown interactions")
     return RaggedPaths(np.diff(tx_offset), num_interactions=np.diff(offset), **values)
 
 

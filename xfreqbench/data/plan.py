@@ -53,9 +53,9 @@ BATCH = 16
 
 @dataclass(frozen=True)
 class Plan:
-    """A job whose input is checked: whatever can be refused before the first ray has been.
+    """A job whose input is checked; everything that can be refused before the first ray is refused.
 
-    `tracing` is what workers get, `header` what the file will say about itself.
+    `tracing` is sent to workers, and `header` will be the header of the file.
     """
 
     tracing: Tracing
@@ -81,7 +81,7 @@ class Plan:
 
     @property
     def settings(self) -> TraceSettings:
-        """What is asked of the rays, with the solver that serves the scene in place of `auto`."""
+        """The settings of the rays, with the solver that is used for the scene instead of `auto`."""
         return self.tracing.settings
 
     @property
@@ -127,17 +127,17 @@ class Plan:
         if thin:
             lines.append(
                 f"thinner than {MIN_SEPARATION_M * 1e3:g} mm, so that in Sionna RT nothing passes both faces: "
-                f"{', '.join(thin)}; a rectangle with its thickness_m, or solver image, lets through what it should"
+                f"{', '.join(thin)}; use a rectangle with a thickness_m, or solver image"
             )
         if near := nearly_in_one_plane(self.geometry):
-            lines.append(f"{near}: a path passes both; if they are one wall, or one object twice, leave one out")
+            lines.append(f"{near}: a path passes both; if they are the same wall or object, leave one out")
         lines += self._material_notes()
         if not header.receiver.resolves_directions:
             lines.append("maps are nearly constant: the array has hardly any extent")
         return "\n".join(lines)
 
     def _mesh_note(self) -> str:
-        """A line on the size of a scene with a mesh file, and on what of it mirrors."""
+        """A line on the size of a scene with a mesh file, and on how much of it reflects."""
         geometry = self.geometry
         x, y, z = (f"{extent:,.2f}" for extent in np.ptp(bounds_m(geometry.meshes), axis=0))
         sides_m = np.diff(triangle_corners_m(geometry.meshes), axis=1)
@@ -148,7 +148,7 @@ class Plan:
         return (
             f"meshes: {x} × {y} m, {z} m high; {patches_m2.sum():,.2f} of {area_m2.sum():,.2f} m² mirror, the "
             f"largest patch is {patches_m2.max():,.2f} m²; {np.count_nonzero(~mirrors):,} of {len(mirrors):,} "
-            "triangles do not" + (f"; {num_outside:,} transmitters stand outside" if num_outside else "")
+            "triangles do not" + (f"; {num_outside:,} transmitters are outside" if num_outside else "")
         )
 
     def _material_notes(self) -> list[str]:
@@ -161,13 +161,13 @@ class Plan:
         )
         rough = ", ".join(f"{name} (S {how.coefficient:g}, {how.pattern})" for name, how in self.geometry.scattering)
         is_traced = "diffuse" in self.settings.named_interactions
-        untraced = "" if is_traced else ", of which the interaction diffuse is not traced"
+        untraced = "" if is_traced else ", but the interaction diffuse is not traced"
         notes = {"the same at every carrier": constant, "scattering": rough and rough + untraced}
         return [f"{what}: {names}" for what, names in notes.items() if names]
 
     @cached_property
     def job(self) -> dict[str, str]:
-        """What is asked for, as `job_of` has it, and by what: versions of software, and this package's code."""
+        """The job by `job_of`, and what makes it: versions of software, and the code of this package."""
         software = {f"software.{name}": version for name, version in self.header.software.items()}
         return {**job_of(self.header, self.tx_position_m), **software, "software.code": package_sha256()[:16]}
 
@@ -185,10 +185,10 @@ class Plan:
 
 
 def plan_generation(scene: str | Path | Scene | PreparedScene, options: GenerateOptions) -> Plan:
-    """Check what a scene's data set is asked for and look up all that it needs; no ray is shot.
+    """Check the options for a scene's data set and look up all that it needs; no ray is shot.
 
-    The transmitters are those of `tx_positions`, or else the scene's usable grid positions, of which the seed chooses
-    `tx` where that is given. Raises `MaterialBandError`, `PlacementError` or another `XFreqBenchError`.
+    The transmitters are those of `tx_positions`, or otherwise the scene's usable grid positions; the seed chooses `tx`
+    of them if that is given. Raises `MaterialBandError`, `PlacementError` or another `XFreqBenchError`.
     """
     if options.tx is not None and options.tx_positions is not None:
         raise XFreqBenchError("tx chooses from the scene's grid and tx_positions replaces it; give one of them.")
@@ -205,13 +205,13 @@ def plan_generation(scene: str | Path | Scene | PreparedScene, options: Generate
     require_memory(
         # at the peak: a triangle's where solver `image` sorts them, measured in scene `lounge`, and a ray's of `sionna`
         (geometry.num_triangles * 800 + rays * 300) / 2**20,
-        f"To trace the {geometry.num_triangles:,} triangles of scene {scene.name!r} with {settings.rays:,} rays",
+        f"Tracing the {geometry.num_triangles:,} triangles of scene {scene.name!r} with {settings.rays:,} rays",
     )
     settings = resolve_solver(geometry, settings)
     if paths and settings.solver == "sionna" and "diffuse" in settings.named_interactions:
         raise XFreqBenchError(
-            "Paths are asked for with diffuse reflection by solver sionna, whose paths are random samples, others at "
-            "each carrier, and up to one for each ray: they are not stored. Leave out --paths or --solver sionna."
+            "Diffuse paths of solver sionna cannot be stored: they are random samples, different at each carrier, and "
+            "up to one for each ray. Leave out --paths, --solver sionna, or the interaction diffuse."
         )
     materials = (layer.material for slab in slabs_of(geometry.meshes) for layer in slab.layers)
     extrapolated = check_dispersion(materials, carriers, settings.materials)
@@ -235,7 +235,7 @@ def plan_generation(scene: str | Path | Scene | PreparedScene, options: Generate
 
 
 def _with_receivers(scene: Scene, names: Sequence[str] | None) -> Scene:
-    """The scene with the receivers that are asked for; raises `XFreqBenchError` where their arrays differ."""
+    """The scene with the receivers that are asked for; raises `XFreqBenchError` if their arrays differ."""
     known = [receiver.name for receiver in scene.receivers if receiver.name is not None]
     if names is not None and [*names] == ["all"] and "all" not in known:
         names = known
@@ -244,7 +244,7 @@ def _with_receivers(scene: Scene, names: Sequence[str] | None) -> Scene:
     for other in others:
         if any(getattr(other, name) != getattr(first, name) for name in ("rows", "cols", "spacing_wavelengths")):
             raise XFreqBenchError(
-                f"Receivers {first.name!r} and {other.name!r} have different arrays, but those of one file have the "
+                f"Receivers {first.name!r} and {other.name!r} have different arrays, but those of one file need the "
                 "same rows, cols and spacing_wavelengths. Generate a file for each, as with --receiver "
                 f"{first.name}, or give them the same array."
             )
@@ -252,7 +252,7 @@ def _with_receivers(scene: Scene, names: Sequence[str] | None) -> Scene:
 
 
 def _pairs(polarizations: Sequence[str] | None) -> tuple[PolarizationPair, ...]:
-    """Pairs of polarizations, sent and heard: those that are named, or all of the letters that are."""
+    """Pairs of polarizations, sent and received: those that are named, or all pairs of the letters that are."""
     names = tuple(dict.fromkeys(polarizations or ()))
     if set(names) <= {"V", "H"}:
         names = tuple(sent + heard for sent in names for heard in names)
@@ -265,7 +265,7 @@ def _pairs(polarizations: Sequence[str] | None) -> tuple[PolarizationPair, ...]:
 def _header(
     tracing: Tracing, placed: Placement, pas_kind: str, maps: bool, extrapolated_materials: list[str]
 ) -> DatasetHeader:
-    """What the file will say about itself."""
+    """The header of the file."""
     settings = TypeAdapter(TraceSettings).dump_python(tracing.settings, mode="json")
     rough = [{"material": name, **how.stated} for name, how in tracing.prepared().geometry.scattering]
     return DatasetHeader(

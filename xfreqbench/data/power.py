@@ -1,4 +1,4 @@
-"""The received power of samples: at the array, on average about a transmitter's place, and in dBm."""
+"""The received power of samples: at the array, averaged about a transmitter's position, and in dBm."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from xfreqbench.types import FloatArray
 def power_db(data: InstanceOf[PasDataset], radius_wavelengths: PositiveFloat | None = None) -> Float[FloatArray, "N"]:
     """Received over transmitted power of each sample in dB: the mean of `|h|²` over the array's elements.
 
-    With a radius, it is the power at the array centre, averaged over where a transmitter stands: the mean over a
+    With a radius, it is the power at the array centre, averaged over the transmitter's position: the mean over a
     horizontal disc about it, by its paths as plane waves; with `math.inf` it is the sum of the powers of the paths.
-    It is −inf where no path arrives. Raises `DataError` for a data set of maps alone, and with a radius as
-    `PasDataset.paths` does.
+    It is −inf if no path arrives. Raises `DataError` for data without channels, and with a radius as `PasDataset.paths`
+    does.
     """
     if radius_wavelengths is None:
         power = np.mean(np.abs(data.cfr.astype(np.complex128)) ** 2, axis=1)
@@ -35,16 +35,16 @@ def power_db(data: InstanceOf[PasDataset], radius_wavelengths: PositiveFloat | N
 def received_power_dbm(
     data: InstanceOf[PasDataset], transmit_power_dbm: FiniteFloat | None = None
 ) -> Float[FloatArray, "N"]:
-    """Received power of each sample in dBm: `power_db` and the power that each transmitter has.
+    """Received power of each sample in dBm: `power_db` plus the power that each transmitter sends.
 
-    Without a number it is `power_dbm` in the `[transmitters]` of the scene. Raises `DataError` where the scene
-    states none, and as `power_db` does.
+    The default is `power_dbm` in the `[transmitters]` of the scene. Raises `DataError` if the scene gives none, and
+    as `power_db` does.
     """
     if transmit_power_dbm is None and (transmitters := data.scene.transmitters):
         transmit_power_dbm = transmitters.power_dbm
     if transmit_power_dbm is None:
         raise DataError(
-            f"The scene of {data.path} states no transmit power. Give it, as in received_power_dbm(data, 20.0), or "
+            f"The scene of {data.path} gives no transmit power. Give it, as in received_power_dbm(data, 20.0), or "
             "write power_dbm = 20.0 into the [transmitters] of the scene."
         )
     return power_db(data) + transmit_power_dbm

@@ -1,4 +1,4 @@
-"""The recipe of a data set: what its samples follow from, as a hash that is the same on every machine."""
+"""The recipe of a data set: everything that determines its samples, as a hash that is the same on every machine."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _NOT_PHYSICS = {"name", "description", "transmitters", "transmitter_polarization
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a data set follows from. Data of equal recipes hold the same samples, up to the last digits of solvers.
+    """Everything that determines a data set. Data of equal recipes have the same samples, up to the last digits.
 
     `sha256` is the hash of the recipe: of the physics, the carriers, the transmitters in their order, the
-    directions of the maps and their kind. `physics_sha256` is the hash of what the channel of any transmitter at any
-    carrier follows from: the scene, the interactions with their greatest depth, what is extrapolated, and the version
-    of the physics. It is None where nothing says how the data were made, as in data that
-    others published: these have their content as their recipe, with `data` in place of the version of the physics.
+    directions of the maps and their kind. `physics_sha256` is the hash of what determines the channel of any
+    transmitter at any carrier: the scene, the interactions with their greatest depth, the extrapolated materials, and
+    the version of the physics. It is None if the data do not say how they were made, like data that others published:
+    their content is their recipe, with `data` instead of the version of the physics.
 
-    Solver, number of rays, seed, threads, processor and versions of software are in neither hash, since they change
-    nothing but digits. Only diffuse reflection is drawn at random: its seed is in both, with the number of rays of
+    Solver, number of rays, seed, threads, processor and versions of software are in neither hash, because they change
+    only the last digits. Only diffuse reflection is random: its seed is in both hashes, with the number of rays of
     solver `sionna`, or the name of solver `image`.
     """
 
@@ -52,7 +52,7 @@ class Recipe:
         tx_position_m: Float[FloatArray, "T 3"],
         grid: AngularGrid,
     ) -> Recipe:
-        """The recipe of channels that were traced in a scene; the header tells the rest."""
+        """The recipe of channels that were traced in a scene; the rest is taken from the header."""
         drawn = "image" if settings.solver == "image" else settings.rays
         physics = json_sha256(
             {
@@ -75,12 +75,12 @@ class Recipe:
 
     @property
     def id(self) -> str:
-        """Physics version and whole hash, as records hold it: `2-3f9c…`."""
+        """Physics version and whole hash, as in records: `2-3f9c…`."""
         return f"{self.physics}-{self.sha256}"
 
     @property
     def name(self) -> str:
-        """Scene, physics version and the first digits of the hash, as it is shown: `office@2-3f9c2ab1`."""
+        """Scene, physics version and the first digits of the hash, for users: `office@2-3f9c2ab1`."""
         return recipe_name(self.scene_name, self.id)
 
     def __str__(self) -> str:
@@ -88,10 +88,10 @@ class Recipe:
 
 
 def job_of(header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> dict[str, str]:
-    """What a data set was asked for, by names such as `settings.seed`; long values are told by their hashes.
+    """The job of a data set, by names such as `settings.seed`; long values are replaced by their hashes.
 
-    Data of equal jobs have the same recipe, and are interchangeable: versions of software are left out, and what of
-    the scene's file changes no channel. Of carriers and transmitters the number comes first.
+    Data of equal jobs have the same recipe, and are interchangeable: versions of software are left out, and fields of
+    the scene's file that change no channel. Carriers and transmitters begin with their number.
     """
     content = {field.name: getattr(header, field.name) for field in fields(header)} | {
         "scene_json": json.loads(header.scene_json),
@@ -111,7 +111,7 @@ def job_of(header: DatasetHeader, tx_position_m: Float[FloatArray, "T 3"]) -> di
 
 
 def job_differences(asked: Mapping[str, str], stored: Mapping[str, str]) -> str:
-    """How a stored job differs from the one that is asked for: `5 carriers there, 1 here`; empty for the same one."""
+    """How a stored job differs from the one that is asked for: `5 carriers there, 1 here`; empty if they are equal."""
     there_and_here = {name: (stored.get(name, "none"), asked.get(name, "none")) for name in {**asked, **stored}}
     differing = {name: values for name, values in sorted(there_and_here.items()) if values[0] != values[1]}
     words = []
@@ -145,14 +145,14 @@ def recipe_name(scene_name: str, recipe_id: str) -> str:
 
 
 def micrometres(position_m: Float[FloatArray, "T 3"]) -> Any:
-    """Positions in whole micrometres (T, 3): positions that agree in them are the same place."""
+    """Positions in whole micrometres (T, 3): positions with equal numbers are the same place."""
     return np.rint(position_m * 1e6).astype(np.int64)
 
 
 def _scene_content(scene: Scene, header: DatasetHeader) -> dict[str, Any]:
-    """What of a scene's file changes a channel; of imported meshes it is the hash of all that rays can meet."""
-    told_by_meshes = {"scene", "up", "mirrors", "least_patch_area_m2", "least_patch_width_m"}
-    content = TypeAdapter(Scene).dump_python(scene, mode="json", exclude=_NOT_PHYSICS | told_by_meshes)
+    """The fields of a scene's file that change a channel; for imported meshes the hash of all that rays can meet."""
+    in_meshes = {"scene", "up", "mirrors", "least_patch_area_m2", "least_patch_width_m"}
+    content = TypeAdapter(Scene).dump_python(scene, mode="json", exclude=_NOT_PHYSICS | in_meshes)
     content["receiver"].pop("name", None)
     for surface in content["surface"]:
         del surface["name"]

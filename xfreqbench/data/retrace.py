@@ -1,4 +1,4 @@
-"""The check of a data set's origin: some of its samples are traced again, as its header says, and compared with it."""
+"""The check of a data set's origin: some of its samples are traced again, by its header, and compared."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ TOLERANCE = 1e-3  # a path that is a millimetre longer differs by 0.02 at 1 GHz
 
 @dataclass(frozen=True)
 class Retraced:
-    """A sample that was traced again: its transmitter's index, its carrier, and how far the file is from it.
+    """A sample that was traced again: its transmitter's index, its carrier, and its difference from the file.
 
     `difference` is the larger of ‖h − h′‖ / ‖h′‖, where h is the stored channel and h′ the one traced again, and
-    of the greatest difference between the stored map and the map of h, whose peak is 1. Where paths are stored, they
-    are compared by the channel that they give.
+    of the greatest difference between the stored map and the map of h, whose peak is 1. Stored paths are compared by
+    the channel that they give.
     """
 
     tx: int
@@ -48,30 +48,30 @@ def require_origin(
 ) -> Retraced:
     """Trace samples of a whole data set again, those of n rows, and return the worst.
 
-    Scene, carriers and settings are those of the header, so that whatever went wrong on the way to the file is
-    found. The scene's meshes are in `folder`, or where `traced_scene` looks for them. `workers` trace. Raises
-    `DataError` where a sample differs by more than `TOLERANCE` or nothing says how it was traced, and `SceneError`
-    where the scene's meshes are not at hand.
+    Scene, carriers and settings are those of the header, so every mistake in writing the file is found. The scene's
+    meshes are in `folder`, or where `traced_scene` looks for them. `workers` trace. Raises `DataError` if a sample
+    differs by more than `TOLERANCE` or the file does not say how it was traced, and `SceneError` if the scene's meshes
+    are missing.
     """
     samples = _retraced(dataset, rows, folder, workers)
     worst = max(samples, key=lambda sample: (np.isnan(sample.difference), sample.difference))
     if not worst.difference <= TOLERANCE:
         raise DataError(
             f"{dataset.path} does not hold what its header says: traced again, {worst}, more than {TOLERANCE:g}. "
-            "It was damaged before it was sealed, or other software wrote it. Generate it again."
+            "It was damaged before its hashes were computed, or other software wrote it. Generate it again."
         )
     return worst
 
 
 def drawn_rows(dataset: PasDataset, number: int, seed: int = 0) -> Int[IntArray, "n"]:
-    """Rows of `number` samples of a data set, or of all where there are fewer, as `seed` draws them."""
+    """Rows of `number` samples of a data set, or of all if there are fewer, drawn by `seed`."""
     return np.random.default_rng(seed).choice(len(dataset), min(number, len(dataset)), replace=False)
 
 
 def traced_scene(dataset: PasDataset, folder: Path | None = None) -> Scene:
-    """The scene that was traced, its meshes in `folder`, or else beside the data, in the working folder or shipped.
+    """The scene that was traced, its meshes in `folder`, or next to the data, in the working folder or shipped.
 
-    Raises `DataError` where no scene is stored, and `SceneError` where its surfaces are not those that were traced.
+    Raises `DataError` if no scene is stored, and `SceneError` if its surfaces are not those that were traced.
     """
     scene = dataset.scene
     for place in [folder] if folder else [dataset.path.parent, Path.cwd(), shipped_folder()]:
@@ -80,8 +80,8 @@ def traced_scene(dataset: PasDataset, folder: Path | None = None) -> Scene:
             if meshes_sha256(surface_meshes(placed)) == dataset.header.scene_sha256:
                 return placed
     raise SceneError(
-        f"The surfaces of scene {scene.name!r} are not those that the data were traced among"
-        + (f": {scene.scene} is missing or another. Put it beside the data." if scene.scene else ".")
+        f"The surfaces of scene {scene.name!r} are not those that the data were traced with"
+        + (f": {scene.scene} is missing or was changed. Put it next to the data." if scene.scene else ".")
     )
 
 
@@ -99,7 +99,7 @@ def _retraced(
 
 
 def _compared(dataset: PasDataset, rows: Int[IntArray, "n"], again: Channel) -> Iterator[Retraced]:
-    """Samples of one transmitter beside its channel at all carriers, traced again."""
+    """Samples of one transmitter, compared with its channel at all carriers, traced again."""
     asked = dataset[rows]
     maps = dataset.beam.maps(asked.cfr, dataset.header.pas_kind)[0]
     map_differences = np.abs(asked.pas() - maps).max(axis=(1, 2))

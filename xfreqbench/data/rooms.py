@@ -1,4 +1,4 @@
-"""Generates collections: one job a room, which draws it from a family, traces it and returns its data set's bytes."""
+"""Generates collections: one job a room, which draws the room from a family, traces it and returns its data set."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from xfreqbench.units import ghz_to_hz
 
 @dataclass(frozen=True)
 class RoomsPlan:
-    """Rooms of a family, and what is asked of each, with the solver and the interactions that serve the first."""
+    """Rooms of a family, and the options of each, with the solver and the interactions of the first."""
 
     family: Family
     options: GenerateOptions
@@ -51,7 +51,7 @@ class RoomsPlan:
 
     @property
     def common(self) -> dict[str, Any]:
-        """The options that all rooms have in common, as JSON holds them."""
+        """The options that all rooms have in common, as for JSON."""
         names = ("tx", "pas_kind", "maps", "paths", "polarization", *asdict(self.options.settings))
         return TypeAdapter(dict[str, Any]).dump_python(
             {name: getattr(self.options, name) for name in names if name != "seed"}, mode="json"
@@ -66,13 +66,13 @@ class RoomsPlan:
 def generate_rooms(family: FilePath | InstanceOf[Family], output: FilePath, options: GenerateOptions) -> Collection:
     """Draw rooms from a family, trace each, write their data sets to the folder `output`, and open the collection.
 
-    `family` is a shipped family's name, the path of its TOML, or a `Family`. The rooms are those of `rooms` seeds from
-    `seed` on, each with `tx` transmitters. The other options are those of `generate`; each room is a job of its own,
-    made by the processes or workers that `executor` names.
+    `family` is a shipped family's name, the path of its TOML, or a `Family`. The rooms have the `rooms` seeds from
+    `seed` on, and `tx` transmitters each. The other options are those of `generate`; each room is a job of its own for
+    the processes or workers that `executor` names.
 
-    The same call goes on where a killed one stopped, and gives the same bytes. Rooms whose data sets are damaged or
-    lost are named to `tell`, and made again. A call with more rooms adds them. Raises what `generate`
-    raises, and `OutputExistsError` where the folder holds rooms of another family or with other options.
+    The same call continues where a killed one stopped, and gives the same bytes. `tell` is called with the names of
+    rooms whose data sets are damaged or lost; these are made again. A call with more rooms adds them. Raises what
+    `generate` raises, and `OutputExistsError` if the folder holds rooms of another family or with other options.
     """
     with announcing(options.progress) as is_shown:
         plan = plan_rooms(family, options)
@@ -81,7 +81,7 @@ def generate_rooms(family: FilePath | InstanceOf[Family], output: FilePath, opti
 
 
 def plan_rooms(family: str | Path | Family, options: GenerateOptions) -> RoomsPlan:
-    """The plan of rooms, whose first one is checked as a scene is; raises what `generate_rooms` raises."""
+    """The plan of rooms; the first room is checked like a scene. Raises what `generate_rooms` raises."""
     # a fifth of the time that a scene's defaults take
     usual: dict[str, Any] = {"tx": 120, "rays": 50_000, "max_depth": 4, "maps": False}
     options = replace(options, **{name: usual[name] for name in usual if getattr(options, name) is None})
@@ -102,7 +102,7 @@ def generate_planned_rooms(
     progress: ProgressCallback = ignore_progress,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Collection:
-    """Make the rooms of a plan that the folder does not hold yet, then describe all of them; see `generate_rooms`."""
+    """Make the rooms of a plan that are missing in the folder, then describe all of them; see `generate_rooms`."""
     with sole_writer(folder / FILE):
         before = _claim(plan, folder)
         seeds = sorted({*plan.seeds, *(room.seed for room in before)})
@@ -125,7 +125,7 @@ def generate_planned_rooms(
 
 
 def _made_room(plan: RoomsPlan, seed: int) -> tuple[str, bytes]:
-    """Type and data set of a room, as the bytes of a file, which a worker writes in a folder of its own."""
+    """Type and data set of a room, as the bytes of a file that a worker writes in a temporary folder."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "room.h5"
         kind, planned = _planned(plan, seed)
@@ -134,7 +134,7 @@ def _made_room(plan: RoomsPlan, seed: int) -> tuple[str, bytes]:
 
 
 def estimate_rooms(plan: RoomsPlan, probes: int = 3) -> tuple[float, float]:
-    """Seconds that one core takes for all rooms, and their bytes, from a few rooms that are made and thrown away."""
+    """Seconds that one core takes for all rooms, and their bytes, from a few rooms that are made and deleted."""
     _made_room(replace(plan, options=replace(plan.options, tx=2)), plan.seeds[0])  # what has to be compiled
     seconds, sizes = list[float](), list[int]()
     for seed in plan.seeds[:probes]:
@@ -152,9 +152,9 @@ def _planned(plan: RoomsPlan, seed: int) -> tuple[str, Plan]:
 
 
 def _claim(plan: RoomsPlan, folder: Path) -> tuple[Room, ...]:
-    """Describe the rooms of a plan in the folder, none of them yet, or return those that it is known to hold.
+    """Describe the plan in a new folder, without rooms, or return the rooms that the folder's description has.
 
-    Raises `OutputExistsError` where these are of another family, or were made with other options.
+    Raises `OutputExistsError` if these are of another family, or were made with other options.
     """
     with storage_errors(folder):
         is_described, content = (folder / FILE).exists(), sorted(each.name for each in folder.iterdir())
@@ -177,9 +177,9 @@ def _claim(plan: RoomsPlan, folder: Path) -> tuple[Room, ...]:
 
 
 def _kept(plan: RoomsPlan, folder: Path, seed: int) -> Room | None:
-    """The entry of a room that is there, with its hash; None where it is missing or damaged.
+    """The entry of a room that is in the folder, with its hash; None if it is missing or damaged.
 
-    Raises `OutputExistsError` where another data set is in its place, or one of another version of the physics.
+    Raises `OutputExistsError` if its file is another data set, or one of another version of the physics.
     """
     file, kind = plan.file_of(seed), plan.family.type_of(seed).name
     try:
@@ -190,7 +190,7 @@ def _kept(plan: RoomsPlan, folder: Path, seed: int) -> Room | None:
     found = dataset.header.scene_name, dataset.header.physics
     if found != (room_name(plan.family, seed), PHYSICS_VERSION):
         raise OutputExistsError(
-            f"{folder / file} holds {found[0]!r} by version {found[1]} of the physics, not the room of that seed by "
+            f"{folder / file} holds {found[0]!r} by version {found[1]} of the physics, not the room of this seed by "
             f"version {PHYSICS_VERSION}. Choose another folder with -o, or delete it."
         )
     return Room(seed, kind, file, dataset.file_sha256, dataset.header.num_tx)

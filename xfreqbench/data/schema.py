@@ -1,4 +1,4 @@
-"""What a data set of channels and maps holds: its header and its variables (schema `xfreqbench/pas/1`)."""
+"""The header and the variables of a data set of channels and maps (schema `xfreqbench/pas/1`)."""
 
 from __future__ import annotations
 
@@ -47,21 +47,21 @@ _RECEIVER_WRITTEN = PlainSerializer(lambda value: TypeAdapter(ReceiverArray).dum
 
 @dataclass(frozen=True, eq=False, config=ConfigDict(arbitrary_types_allowed=True, populate_by_name=True))
 class DatasetHeader:
-    """What a data set says about itself: the one definition of its HDF5 text attributes.
+    """The header of a data set: the one definition of its HDF5 text attributes.
 
-    Fields are stored in this order under their names, or under their alias where they have one, as JSON where
-    they are not text. `carrier_hz` is not among them: it is a variable of the file. `settings` are the
-    solver's, and `rejected` counts the grid positions left out, by reason. `paths` says whether paths are stored, and
-    `physics` is the `PHYSICS_VERSION` of the solver. `references` says which edition of ITU-R P.2040 the materials
-    follow; it is in no hash.
+    Fields are stored in this order under their names, or under their alias if they have one, as JSON if they are not
+    text. `carrier_hz` is not among them: it is a variable of the file. `settings` are the solver's, and `rejected`
+    counts the grid positions left out, by reason. `paths` says whether paths are stored, and `physics` is the
+    `PHYSICS_VERSION` of the solver. `references` names the edition of ITU-R P.2040 that the materials follow; it is in
+    no hash.
 
-    A file may hold several links: `receivers` names its receivers where there are several, all in the scene, and
+    A file may hold several links: `receivers` names its receivers if there are several, all in the scene, and
     `polarizations` its pairs of polarizations, the transmitters' first. `receiver` and `settings` are then those of the
     first link; `at` gives the header of each.
 
-    A data set with `channels=False` was published by others as maps alone, which are then stored
-    (`maps=True`). What was not published is marked in it: `peak_power` is 1 where there is a map (less where
-    its PNG was nowhere white), `num_paths` is −1, and `line_of_sight` is 1 unless it is known.
+    A data set with `channels=False` was published by others as maps, which are then stored (`maps=True`). Values that
+    were not published are marked: `peak_power` is 1 where there is a map (less if its PNG is nowhere white),
+    `num_paths` is −1, and `line_of_sight` is 1 unless it is known.
     """
 
     scene_name: str
@@ -95,7 +95,7 @@ class DatasetHeader:
 
     @property
     def link_names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Receivers and pairs of polarizations (`VH`: sent in V and heard in H); empty where there is one alone."""
+        """Receivers and pairs of polarizations (`VH`: sent in V, received in H); empty if there is only one."""
         return self.receivers, self.polarizations
 
     @property
@@ -106,9 +106,9 @@ class DatasetHeader:
         }
 
     def link(self, receiver: str | None = None, polarization: str | None = None) -> tuple[int, int]:
-        """The numbers of a receiver and of a pair of polarizations, the first without a name.
+        """The numbers of a receiver and of a pair of polarizations, of the first if None.
 
-        Raises `UnknownNameError` for what the file does not hold.
+        Raises `UnknownNameError` for one that the file does not have.
         """
         own = self.settings.get("transmitter_polarization", self.receiver.polarization) + self.receiver.polarization
         known = {
@@ -122,7 +122,7 @@ class DatasetHeader:
         return first, second
 
     def at(self, receiver: int = 0, polarization: int = 0) -> DatasetHeader:
-        """The header of one link, as it is in a file that holds nothing else; raises `ValueError` for a damaged one."""
+        """The header of one link, as in a file with only this link; raises `ValueError` for a damaged one."""
         if not self.link_axes:
             return self
         scene = TypeAdapter(Scene).validate_json(self.scene_json)
@@ -149,7 +149,7 @@ class DatasetHeader:
         return sum(variable.num_bytes for variable in variables(self, AngularGrid.hemisphere()))
 
     def attributes(self) -> dict[str, str]:
-        """The header as texts of HDF5 attributes; what has its default stays out."""
+        """The header as texts of HDF5 attributes, without fields that have their default."""
         stored = TypeAdapter(DatasetHeader).dump_python(
             self, by_alias=True, exclude={"carrier_hz"}, exclude_defaults=True
         )
@@ -157,7 +157,7 @@ class DatasetHeader:
 
     @classmethod
     def from_attributes(cls, attributes: Mapping[str, str], carrier_hz: Float[FloatArray, "F"]) -> DatasetHeader:
-        """Inverse of `attributes`; raises `ValueError` naming an attribute that is missing or of another type."""
+        """Inverse of `attributes`; raises a `ValueError` that names an attribute that is missing or of another type."""
         try:
             return TypeAdapter(cls).validate_python({**attributes, "carrier_hz": carrier_hz})
         except ValidationError as error:
@@ -201,7 +201,7 @@ def _geometry_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variab
 
 
 def _sample_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable]:
-    """Channels, maps, and what is known of each transmitter or sample (transmitter, carrier)."""
+    """Channels, maps, and the variables of each transmitter or sample (transmitter, carrier)."""
     T, F, M = header.num_tx, len(header.carrier_hz), header.receiver.num_elements
     links, counts = tuple(header.link_axes), tuple(header.link_axes.values())
     sample, channel, angles = (TX, *links, CARRIER), (TX, *links, CARRIER, ELEMENT), (ELEVATION, AZIMUTH)
@@ -229,7 +229,7 @@ def _words(*meanings: str) -> tuple[tuple[int, str], ...]:
 
 
 def constants(header: DatasetHeader, grid: AngularGrid) -> dict[str, NDArray[Any]]:
-    """Values, by variable, of all that is known before the first ray: axes, grid and receivers."""
+    """The values that are known before the first ray, by variable: axes, grid and receivers."""
     receiver, receivers = header.receiver, [header.at(number).receiver for number in range(len(header.receivers))]
     positions_m = [np.asarray(of_link.position_m) for of_link in receivers or [receiver]]
     rotations = [of_link.rotation for of_link in receivers or [receiver]]

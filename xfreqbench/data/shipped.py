@@ -1,4 +1,4 @@
-"""Data sets by name or address: those that ship with the toolkit, and those that are fetched and kept."""
+"""Data sets by name or address: those that ship with the toolkit, and those that are downloaded and kept."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from xfreqbench.system.files import sole_writer, storage_errors
 
 
 class Registered(NamedTuple):
-    """A data set of the registry; `url` is None where it ships with the toolkit."""
+    """A data set of the registry; `url` is None if it ships with the toolkit."""
 
     file: str
     sha256: str
@@ -30,9 +30,9 @@ class Registered(NamedTuple):
 
 
 def registered(registry: Path | None = None, ending: str = ".h5") -> Mapping[str, Registered]:
-    """The files of a registry that have a name, by that name; without `registry`, the data sets."""
+    """The files of a registry by their names; without `registry`, the data sets."""
     book = _book({}, {})
-    # a line each: file, sha256 and, unless it ships, its address
+    # each line has a file, its sha256 and, unless it ships, its address
     book.load_registry(registry or shipped_folder() / "registry.txt")
     return {
         file.removesuffix(ending): Registered(file, sha256, book.urls.get(file))
@@ -42,25 +42,25 @@ def registered(registry: Path | None = None, ending: str = ".h5") -> Mapping[str
 
 @checked
 def load(name: Word) -> PasDataset:
-    """Open the data set of a name, which ships with the toolkit or was fetched before; no network is asked.
+    """Open a data set by its name, which ships with the toolkit or was downloaded before; no network is used.
 
-    Data that ship hold channels, without maps: these are derived when they are read. Raises `UnknownNameError` for a
-    name that there is not, and `DataError` for data that do not ship and were not fetched yet, and for a file's path.
+    Data that ship have channels, and their maps are derived when they are read. Raises `UnknownNameError` for an
+    unknown name, and `DataError` for data that do not ship and were not downloaded yet, and for a file's path.
     """
     known = registered()
     if name not in known:
         if name.endswith(".h5") or Path(name).is_file():
-            raise DataError(f"load takes the name of a data set. Open a file by xfreqbench.open_dataset({name!r}).")
+            raise DataError(f"load takes the name of a data set. Open a file with xfreqbench.open_dataset({name!r}).")
         if name in shipped_scenes():
             raise DataError(
-                f"The data of scene {name!r} do not ship; those of {', '.join(sorted(known))} do. Trace them once, "
+                f"The data of scene {name!r} do not ship; those of {', '.join(sorted(known))} do. Generate them, "
                 f"which takes minutes: xfreqbench generate {name} --no-maps -o {name}.h5"
             )
         raise UnknownNameError("data set", name, known)
     found = known[name]
     path = shipped_folder() / found.file if found.url is None else data_folder() / found.file
     if found.url is not None and not path.exists():
-        raise DataError(f"{name!r} was not fetched yet. Fetch it once: xfreqbench.fetch({name!r})")
+        raise DataError(f"{name!r} was not downloaded yet. Download it: xfreqbench.fetch({name!r})")
     return open_dataset(path)
 
 
@@ -68,12 +68,12 @@ def load(name: Word) -> PasDataset:
 def fetch(name_or_url: Word, sha256: Annotated[str, Field(pattern="^[0-9a-fA-F]{64}$")] | None = None) -> PasDataset:
     """Download a data set by its name or its address (http, https) once, keep it, and open it.
 
-    What was fetched before is not downloaded again, and a download that broke off goes on where it stopped. The file is
-    kept only if it has the `sha256` that is given, or is registered for its name. Without one, its bytes are compared
-    with the hash that every data set carries in itself. It is kept in the user's folder for caches, which is
-    `$XDG_CACHE_HOME/xfreqbench` or `~/.cache/xfreqbench`.
+    It is downloaded only once, and a broken download continues where it stopped. The file is kept only if it has the
+    `sha256` that is given, or that is registered for its name. Without one, its bytes are compared with the hash that
+    every data set contains. It is kept in the user's folder for caches, which is `$XDG_CACHE_HOME/xfreqbench` or
+    `~/.cache/xfreqbench`.
 
-    Raises `UnknownNameError` for a name that there is not, `DataError` where nothing answers, or what comes is no data
+    Raises `UnknownNameError` for an unknown name, `DataError` if there is no answer, or if the answer is not a data
     set or has another hash, and `StorageError`.
     """
     url, file = name_or_url, ""
@@ -96,10 +96,10 @@ def fetch_file(
     fresh: bool = False,
     most_bytes: float = inf,
 ) -> Path:
-    """Download what an address holds, once or, where `fresh`, each time, into the user's folder for caches.
+    """Download a file into the user's folder for caches, once, or each time if `fresh`.
 
-    Raises `DataError` where nothing answers, and where what comes has another `sha256`, or more than `most_bytes`, or
-    `check` raises it; then the file is not kept. Raises `StorageError` too.
+    Raises `DataError` if there is no answer, if the file has another `sha256` or more than `most_bytes`, or if `check`
+    raises it; then the file is not kept. Raises `StorageError` too.
     """
     file = file or pooch.utils.unique_file_name(url)
     path, book = data_folder() / file, _book({file: sha256 and sha256.lower()}, {file: url})
@@ -114,20 +114,20 @@ def fetch_file(
             raise
         except requests.RequestException as error:
             raise DataError(
-                f"{url} cannot be fetched: {error}. What has arrived is kept: the same call goes on from there."
+                f"{url} cannot be downloaded: {error}. The same call continues from where this one stopped."
             ) from error
-        except ValueError as error:  # pooch's word for another hash
-            raise DataError(f"{url} is not the file that was asked for, and is not kept: {error}") from error
+        except ValueError as error:  # what pooch raises for another hash
+            raise DataError(f"{url} is not the expected file, and is not kept: {error}") from error
     return path
 
 
 def _book(registry: dict[str, Any], urls: dict[str, str]) -> Any:
-    """What pooch needs to fetch files into our folder; a broken download is tried once more at once."""
+    """The registry with which pooch downloads into our folder; it tries a broken download again, once."""
     return pooch.create(data_folder(), base_url="", registry=registry, urls=urls, retry_if_failed=1)
 
 
 def _partial(path: Path) -> Path:
-    """What has arrived of a file so far."""
+    """The part of a file that has arrived so far."""
     return path.with_name(f".{path.name}.partial")
 
 
@@ -137,7 +137,7 @@ def _remove(path: Path) -> None:
 
 
 def _go_on(most_bytes: float, url: str, output: str, book: Any) -> None:
-    """Download into `output`, from where an earlier download broke off: that is kept beside it, by the file's name."""
+    """Download into `output`, continuing an earlier part, which is kept next to it by the file's name."""
     (file,) = book.registry
     arrived = _partial(Path(output).with_name(file))
     with arrived.open("ab") as stored:
@@ -151,6 +151,6 @@ def _go_on(most_bytes: float, url: str, output: str, book: Any) -> None:
                 for block in answer.iter_content(1 << 16):
                     stored.write(block)
                     if stored.tell() > most_bytes:
-                        advice = "Download it yourself, look at it, and give its path"
+                        advice = "Download it yourself, check it, and give its path"
                         raise DataError(f"{url} holds more than {most_bytes / 1e6:,.0f} MB. {advice}.")
     shutil.move(arrived, output)

@@ -1,7 +1,7 @@
 """Protocols: which samples of a data set a method is trained on, and which samples it is tested on.
 
 A sample is one transmitter at one carrier. Every protocol makes one or several splits of the samples into a training
-part and a test part. What a test says depends on what the method has already seen of it in training:
+part and a test part. The meaning of a test depends on what the method has already seen of it in training:
 
     protocol         tested samples                                  seen in training
     lofo             all transmitters at one carrier f               the same transmitters, at all other carriers
@@ -23,16 +23,16 @@ the tested transmitters one by one, so that each has trained neighbours on all s
 of the nearest one does well. In `held-out-block` those that are nearer than half a metre to a tested one are in neither
 part. `lofo-unseen-tx` leaks nothing: it is trained on the other transmitters at the other carriers. `random-samples`,
 the default of the released code of XFreq-GS, leaks places and carriers: its scores say nothing about either. In all of
-them the room and the receiver are the same in training and in test, but for `held-out-receiver`: there a method is told
-where the tested receiver stands and what its array is, and has heard nothing at it. It leaks transmitters and carriers.
+them except `held-out-receiver` the room and the receiver are the same in training and in test. There, a method is given
+the position and the array of the tested receiver, but no samples of it. It leaks transmitters and carriers.
 
 Transmitters within a millimetre of each other are one place, and in one part, and so are samples of one place at one
 carrier. A carrier that agrees with a tested one in nine digits is neither trained on nor tested with it.
 
 A sample that no path reaches is in neither part, because a channel of zeros has no map.
 
-Settings are chosen on validation rows, which are some of a split's training rows, so that the test says something new.
-They are held out as the tested ones are: at one carrier inside the band of the training carriers, the nearest to the
+Settings are chosen on validation rows, which are some of a split's training rows, so that the test rows remain unseen.
+They are held out like the tested ones: at one carrier inside the band of the training carriers, the nearest to the
 tested one, or of a tenth of the training transmitters, or both; of one of ten regions of the training transmitters; or
 a tenth of the training samples. `make_splits` with `on="validation"` gives the splits that train on the other training
 rows and test on those. Their protocol is called `lofo-validation`, and so on.
@@ -97,10 +97,10 @@ class Split:
     `num_without_path` counts the samples that would be tested, but are left out because no path arrives.
     `shares_transmitters` says whether a tested transmitter is trained on too, at other carriers.
     `nearest_trained_m` is the distance from a tested transmitter to the nearest trained one, in metres: the median
-    over the tested samples, 0 where the tested transmitters are trained on.
+    over the tested samples, 0 if the tested transmitters are trained on.
 
-    Where other receivers than the tested one are trained on, `train` is empty and `receivers` names them, each with
-    the id of its recipe: all that is heard at them is trained on.
+    If other receivers than the tested one are trained on, `train` is empty and `receivers` names them, each with
+    the id of its recipe: all samples of these receivers with a path are trained on.
     """
 
     name: str
@@ -115,9 +115,9 @@ class Split:
 
     @classmethod
     def of(cls, dataset: PasDataset, name: str, protocol: str, trained: Mask, tested: Mask) -> Split:
-        """The split that trains and tests on these of the N samples, as far as a path reaches them.
+        """The split that trains and tests on these of the N samples, without those that no path reaches.
 
-        Raises `ProtocolError` where none is left to train or to test on, and `DataError` where all maps are constant.
+        Raises `ProtocolError` if none is left to train or to test on, and `DataError` if all maps are constant.
         """
         from scipy.spatial import KDTree
 
@@ -141,7 +141,7 @@ class Split:
         return float(carrier_hz.min()), float(carrier_hz.max())
 
     def extrapolation(self, dataset: PasDataset) -> str | None:
-        """Words on the tested carriers that lie outside of the band of the training carriers; None without any."""
+        """Words on the tested carriers outside the band of the training carriers; None without any."""
         low_hz, high_hz = self.trained_band_hz(dataset)
         tested_hz = np.unique(dataset.carrier_hz[self.test])
         outside_hz = tested_hz[(tested_hz < low_hz) | (tested_hz > high_hz)]
@@ -162,7 +162,7 @@ class Split:
         return json_sha256([self.name, self.protocol, self.version, *rows, *others])
 
     def training_part(self, dataset: PasDataset) -> PasDataset:
-        """What a method is given to train on, of the data set that the split was made of."""
+        """The training data of a method, from the data set that the split was made of."""
         train = isolated(dataset[self.train])
         others = (dataset.at(name) for name, _ in self.receivers)
         return replace(train, other_receivers=tuple(isolated(other[other.has_path]) for other in others))
@@ -193,7 +193,7 @@ def _require_directions(dataset: PasDataset) -> None:
 
 
 def _sparse_splits(dataset: PasDataset) -> list[Split]:
-    """The splits of which the data have all carriers; raises `ProtocolError` where there is none."""
+    """The splits whose carriers the data have; raises `ProtocolError` if there is none."""
     missing_hz = _sparse_missing_hz(dataset)
     if all(missing_hz.values()):
         raise _sparse_error(dataset, list(missing_hz))
@@ -218,14 +218,14 @@ def _sparse_name(training_hz: Sequence[float]) -> str:
 
 
 def left_out(dataset: PasDataset) -> str | None:
-    """Words on the splits of `sparse` that are not made, as the data lack some of their carriers; None without any."""
+    """Words on the splits of `sparse` that are not made because the data lack their carriers; None without any."""
     lacking = {_sparse_name(hz): missing for hz, missing in _sparse_missing_hz(dataset).items() if missing}
     each = ", ".join(f"{name} (no {format_ghz_list(missing)})" for name, missing in lacking.items())
     return f"sparse leaves out {len(lacking)} of {len(SPARSE_TRAINING_GHZ)} splits: {each}" if lacking else None
 
 
 def _sparse_error(dataset: PasDataset, trainings: Sequence[Sequence[float]]) -> ProtocolError:
-    """What to generate for at least one split that tests at a carrier and trains at some of several sets of them."""
+    """The error that says which carriers to generate for at least one of several sets of training carriers."""
     trained = "; or ".join(map(format_ghz_list, trainings))
     asked = ",".join(f"{carrier / 1e9:g}" for carrier in sorted([SPARSE_TEST_HZ, *trainings[0]]))
     return ProtocolError(
@@ -236,12 +236,12 @@ def _sparse_error(dataset: PasDataset, trainings: Sequence[Sequence[float]]) -> 
 
 
 def _held_out_receiver_splits(dataset: PasDataset) -> list[Split]:
-    """One split, of the receiver that is shown; raises `ProtocolError` for a file of one, or where nothing is heard."""
+    """One split, of the receiver that is shown; raises `ProtocolError` for a file of one, or without any path."""
     held_out = dataset.link[0]
     if held_out is None:
         raise ProtocolError(
-            f"Protocol {HELD_OUT_RECEIVER!r} needs a file of several receivers, but {dataset.path} holds one. Generate "
-            "it with --receiver all, in a scene of several [[receiver]]."
+            f"Protocol {HELD_OUT_RECEIVER!r} needs a file of several receivers, but {dataset.path} has one. Generate "
+            "it with --receiver all, in a scene with several [[receiver]]."
         )
     _require_directions(dataset)
     others = {name: dataset.at(name) for name in dataset.file_header.receivers if name != held_out}
@@ -260,7 +260,7 @@ VALIDATIONS = {f"{protocol}-validation": protocol for protocol in PROTOCOLS}
 
 
 def protocols() -> list[str]:
-    """Names of the protocols, which `make_splits` and `run` take; the top of this module says what each tests."""
+    """Names of the protocols for `make_splits` and `run`; the docstring of this module says what each tests."""
     return [*PROTOCOLS, HELD_OUT_RECEIVER]
 
 
@@ -273,9 +273,9 @@ def make_splits(
     `targets_ghz` are the tested carriers of `lofo` and `lofo-unseen-tx` in GHz: the paper's if None, and every
     carrier at which a path arrives if "all". The other protocols choose their own.
 
-    With `on="validation"`, the rows that are tested are some of each split's training rows, and the others are trained
-    on; see the top of this module. `sparse` then has no split for two training carriers, as none is between them, and
-    `held-out-receiver` has none at all.
+    With `on="validation"`, some of each split's training rows are tested, and the others are trained on; see the
+    docstring of this module. Then `sparse` has no split for two training carriers, because none is between them, and
+    `held-out-receiver` has no splits.
     """
     if protocol not in protocols():
         raise UnknownNameError("protocol", protocol, protocols())
@@ -309,7 +309,7 @@ def make_splits(
 
 
 def find_split(dataset: PasDataset, protocol: str, name: str) -> Split:
-    """The split with that name of a protocol or of its validation; raises `UnknownNameError` and `ProtocolError`."""
+    """The split of a protocol or of its validation by its name; raises `UnknownNameError` and `ProtocolError`."""
     if protocol in VALIDATIONS:
         tested = VALIDATIONS[protocol]
         return _validation_split(dataset, find_split(dataset, tested, tested + name.removeprefix(protocol)))
@@ -326,20 +326,20 @@ def _named(known: Mapping[str, Known], protocol: str, name: str) -> Known:
 
 
 def _target_name(dataset: PasDataset, protocol: str, target_hz: float) -> str:
-    """The name of a split: its carrier has nine digits, or all of them where the data set has others like it."""
+    """The name of a split: its carrier has nine digits, or all of them if the data set has others like it."""
     digits = 9 if _is_alike(dataset.header.carrier_hz, target_hz).sum() < 2 else 15
     return f"{protocol}-{target_hz / 1e9:.{digits}g}GHz"
 
 
 def _is_alike(carrier_hz: Float[FloatArray, "n"], target_hz: float) -> Bool[NDArray[np.bool_], "n"]:
-    """Whether the maps of carriers are those at the target, for they agree with it in about nine digits."""
+    """Whether carriers have the maps of the target, because they agree with it in about nine digits."""
     return np.isclose(carrier_hz, target_hz, rtol=1e-8, atol=0)
 
 
 def _lofo_splits(dataset: PasDataset, protocol: str, targets_hz: Sequence[float]) -> list[Split]:
     """A split for each target: all samples, or those of the held-out transmitters, are tested there.
 
-    Raises `ProtocolError` where the data lack a target, or have no other carrier.
+    Raises `ProtocolError` if the data lack a target, or have no other carrier.
     """
     every = np.ones(len(dataset), bool)
     trained, tested = (every, every) if protocol == "lofo" else _tx_masks(dataset, every, UNSEEN_SHARE)
@@ -347,7 +347,7 @@ def _lofo_splits(dataset: PasDataset, protocol: str, targets_hz: Sequence[float]
     if missing_hz := [carrier for carrier in targets_hz if carrier not in present_hz]:
         raise ProtocolError(
             f"Protocol {protocol!r} needs {format_ghz_list(missing_hz)}, but the data set has "
-            f"{format_ghz_list(present_hz)}. Choose among these, as in --targets {present_hz[0] / 1e9:.12g}, or "
+            f"{format_ghz_list(present_hz)}. Choose some of these, as in --targets {present_hz[0] / 1e9:.12g}, or "
             "generate data with the others too."
         )
     splits = []
@@ -355,7 +355,7 @@ def _lofo_splits(dataset: PasDataset, protocol: str, targets_hz: Sequence[float]
         is_left = ~_is_alike(dataset.carrier_hz, target_hz)
         if not is_left.any():
             raise ProtocolError(
-                f"{protocol!r} needs two carriers or more, but the data set has {format_ghz(target_hz)} alone. "
+                f"{protocol!r} needs two carriers or more, but the data set has only {format_ghz(target_hz)}. "
                 "Generate more."
             )
         is_tested, name = (dataset.carrier_hz == target_hz) & tested, _target_name(dataset, protocol, target_hz)
@@ -390,7 +390,7 @@ def _sample_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[
 def _block_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[Mask, Mask]:
     """Which samples are trained on, and which are tested: a share of the offered transmitters, whole regions.
 
-    The floor is halved again and again across its longer side into ten regions of equally many transmitters. Of fewer
+    The floor is halved repeatedly across its longer side into ten regions of equally many transmitters. With fewer
     than ten transmitters each is a region.
     """
     from scipy.spatial import KDTree
@@ -407,7 +407,7 @@ def _block_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[M
 
 
 def blocks(position_m: Float[FloatArray, "T 2"], number: int) -> Int[IntArray, "T"]:
-    """For each position on the floor the number of its region, of `number` regions with equally many positions.
+    """The number of the region of each position on the floor, of `number` regions with equally many positions.
 
     An area is divided across its longer side, and so are its parts, until each is one region.
     """
@@ -467,12 +467,12 @@ def _require_training_tx(train: PasDataset, name: str) -> None:
 
 
 def _validation_carrier_hz(train: PasDataset, name: str, tested_hz: float) -> float:
-    """Of the inner carriers of a training the nearest to the tested one, by their ratio."""
+    """The inner carrier of a training that is nearest to the tested one, by their ratio."""
     inner_hz = inner_carriers_hz(train)
     if not len(inner_hz):
         raise ProtocolError(
-            f"Split {name!r} holds out a carrier inside the band of the training carriers, of which there must be "
-            f"{LEAST_TRAINING_CARRIERS} or more, but they are {format_ghz_list(np.unique(train.carrier_hz))}. "
+            f"Split {name!r} holds out a carrier inside the band of the training carriers, so it needs "
+            f"{LEAST_TRAINING_CARRIERS} of them or more, but they are {format_ghz_list(np.unique(train.carrier_hz))}. "
             "Generate more carriers."
         )
     return float(inner_hz[np.argmin(np.abs(np.log(inner_hz / tested_hz)))])

@@ -1,12 +1,12 @@
-"""Statistics of a data set's channels by carrier, beside those of standards: path loss, spreads, K, mechanisms.
+"""Statistics of a data set's channels by carrier, compared with standards: path loss, spreads, K, mechanisms.
 
-They are computed from the paths to the array centre, stored ones or of transmitters that are traced again. Path gains
-hold both antennas' patterns, so a path loss is that of isotropic antennas where both are (`pattern = "iso"`).
+They are computed from the paths to the array centre, which are stored or traced again. Path gains include both
+antennas' patterns, so a path loss is that of isotropic antennas if both are (`pattern = "iso"`).
 
-The standards are medians: of 3GPP TR 38.901 V19 (Tables 7.4.1-1, 7.5-6 and 7.5-10, indoor office), of Recommendation
-ITU-R P.1238 (site-general model, office), of the mmMAGIC project (deliverable D2.2, 6 to 100 GHz, indoor), and of
-small rooms: the delay spread by the rule of 38.901 for a hall of given volume and surface, and the decay of room
-electromagnetics (Andersen et al., 2007).
+The values of standards are medians: of 3GPP TR 38.901 V19 (Tables 7.4.1-1, 7.5-6 and 7.5-10, indoor office), of
+Recommendation ITU-R P.1238 (site-general model, office), of the mmMAGIC project (deliverable D2.2, 6 to 100 GHz,
+indoor), and of small rooms: the delay spread by the rule of 38.901 for a hall of given volume and surface, and the
+decay of room electromagnetics (Andersen et al., 2007).
 """
 
 from __future__ import annotations
@@ -49,15 +49,15 @@ _SPREADS = {
 
 @dataclass(frozen=True, eq=False)
 class LinkStatistics:
-    """What the paths of n transmitters at F carriers say; nan where no path arrives, or the sample is not asked for.
+    """Statistics of the paths of n transmitters at F carriers; nan where no path arrives, or a sample is left out.
 
     Path loss and the shares of the power, summed over paths, are of all paths; the rest is of those at most
     `WINDOW_DB` below the strongest, where diffuse ones count by their power in each nanosecond. Delay spreads are the
     rms of delays weighted by power, and angular spreads the circular standard deviation √(−2·ln|Σ P·exp(jφ) / Σ P|)
     (3GPP TR 38.901, Annex A), in world axes, of arrival at the array and of departure from the transmitter.
-    `k_factor_db` is the power of the direct path over that of all others, and nan without both. The last axis of
-    `power_share` has the `MECHANISMS`: a path is what comes last in this order
-    of what it meets, so that one which is both reflected and transmitted is transmitted.
+    `k_factor_db` is the power of the direct path over that of all others, and nan unless there are both. The last axis
+    of `power_share` has the `MECHANISMS`: the mechanism of a path is the last of this order among its interactions, so
+    a path that is both reflected and transmitted is transmitted.
     """
 
     tx_index: Int[IntArray, "n"]
@@ -79,10 +79,9 @@ class LinkStatistics:
 class ChannelStatistics:
     """Statistics of a data set: of every link, of the room, and, in `rows`, of all links at a carrier.
 
-    The room is the box around the scene's surfaces, `volume_m3` and `surface_m2`; `absorption` (F,) is the mean over
-    the scene's surfaces of the share of diffuse power that they do not reflect. All are nan in a scene without any, and
-    where its meshes are not at hand.
-    `source` says where the paths are from.
+    The room is the box around the scene's surfaces, with `volume_m3` and `surface_m2`; `absorption` (F,) is the mean
+    over the scene's surfaces of the share of diffuse power that they do not reflect. All are nan in a scene without
+    surfaces, and if its meshes are missing. `source` says where the paths are from.
     """
 
     links: LinkStatistics
@@ -93,10 +92,10 @@ class ChannelStatistics:
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """A row for the transmitters in sight, and for those that are not, at each carrier, where there are any.
+        """A row for the transmitters in sight, and one for those that are not, at each carrier, if there are any.
 
-        Names end in units; those of the standards end in their names. Values are medians, of the exponent the least
-        squares, and of a difference (`path_loss_above_…_db`) mean and standard deviation, shares are means.
+        Names end in units; those of the standards end in their names. Values are medians, except the exponent (least
+        squares), differences (`path_loss_above_…_db`: mean and standard deviation), and shares (means).
         """
         kinds = [(sight, carrier) for sight in (True, False) for carrier in range(len(self.links.carrier_hz))]
         return [row for kind in kinds if (row := self._row(*kind))["links"]]
@@ -171,7 +170,7 @@ def _spread_cells(row: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _beside(values: list[float]) -> str:
-    """Our value, and those of others in brackets, what is not known left out."""
+    """Our value, and those of others in brackets, without unknown ones."""
     own, *others = (f"{value:.1f}" for value in values)
     known = [other for other in others if other not in ("nan", "inf")]
     return f"{own.replace('nan', '–')} ({', '.join(known)})" if known else own.replace("nan", "–")
@@ -185,17 +184,17 @@ def _aligned(rows: list[tuple[str, ...]]) -> str:
 
 @checked
 def statistics(dataset: InstanceOf[PasDataset], num_tx: PositiveInt = 200, seed: int = 0) -> ChannelStatistics:
-    """Path loss, spreads, K and mechanisms of a data set or a subset by carrier, beside standards; it can be printed.
+    """Path loss, spreads, K and mechanisms of a data set or a subset by carrier, with standards; it can be printed.
 
     Paths are the stored ones, or those of at most `num_tx` transmitters, drawn by `seed`, that are traced again from
-    the scene and the settings in the file. Raises `DataError` for a data set of maps alone, and `SceneError` where the
-    scene's meshes are needed, and not at hand; without them nothing is known of the room.
+    the scene and the settings in the file. Raises `DataError` for data without channels, and `SceneError` if the
+    scene's meshes are needed and missing. With stored paths they are optional, and only describe the room.
     """
     header = dataset.header
     if not header.channels:
-        raise DataError(f"{dataset.path} holds maps alone, which say nothing of delays and power.")
+        raise DataError(f"{dataset.path} has maps without channels, so delays and powers are not known.")
     if dataset._is_isolated:
-        raise DataError(f"{dataset.path} is shown to methods without its paths.")
+        raise DataError(f"{dataset.path} is given to methods without its paths.")
     is_asked = np.zeros((header.num_tx, dataset.header.num_carriers), bool)
     is_asked.flat[dataset.rows] = True
     tx, carriers = np.flatnonzero(is_asked.any(axis=1)), np.flatnonzero(is_asked.any(axis=0))
@@ -233,10 +232,10 @@ def statistics(dataset: InstanceOf[PasDataset], num_tx: PositiveInt = 200, seed:
 
 
 def of_standards(distance_m: Float[FloatArray, "n"], carrier_hz: float, in_sight: bool) -> dict[str, Any]:
-    """What standards say of links in an office at n distances: path losses (n,), K, and the median of each spread.
+    """Values of standards for links in an office at n distances: path losses (n,), K, and the median of each spread.
 
-    The path loss of 38.901 is for 1 to 150 m and .5 to 100 GHz, that of P.1238 for 2 to 27 m and .3 to 83.5 GHz. What a
-    standard does not say is nan.
+    The path loss of 38.901 is for 1 to 150 m and .5 to 100 GHz, that of P.1238 for 2 to 27 m and .3 to 83.5 GHz. Values
+    that a standard does not give are nan.
     """
     decades, carrier_ghz = np.log10(distance_m), carrier_hz / 1e9
     seen = 32.4 + 17.3 * decades + 20 * np.log10(carrier_ghz)
@@ -265,7 +264,7 @@ def of_paths(paths: RaggedPaths, carrier: int, window_db: float = WINDOW_DB) -> 
     np.maximum.at(strongest, tx, power)
     least = np.maximum(strongest * 10 ** (-window_db / 10), np.finfo(float).tiny)[tx]
     mechanism = _mechanism(paths)
-    # what tiles scatter counts together, whatever their size
+    # diffuse paths count together, so that the size of tiles does not matter
     diffuse = mechanism == MECHANISMS.index("diffuse")
     steps = 10_000  # of a nanosecond
     step = tx * steps + np.minimum(paths.delay_s * 1e9, steps - 1).astype(np.int64)
@@ -319,7 +318,7 @@ def _median(values: Float[FloatArray, "n"]) -> float:
 
 
 def _exponent(loss_db: Float[FloatArray, "n"], distance_m: Float[FloatArray, "n"]) -> float:
-    """By how many times 10 dB the loss grows with a decade of distance; nan where distances hardly differ."""
+    """The growth of the loss with a decade of distance, in units of 10 dB; nan if distances hardly differ."""
     decades = np.log10(distance_m)
     if len(decades) < 3 or np.ptp(decades) < 0.1:
         return float("nan")

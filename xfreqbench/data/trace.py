@@ -1,4 +1,4 @@
-"""The call that workers make: the channels of some transmitters in a scene whose rays are shot once a process."""
+"""The call that workers make: the channels of some transmitters in a scene; each process shoots rays once."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from xfreqbench.types import FloatArray, NDArray
 
 @dataclass(frozen=True)
 class Tracing:
-    """What a worker has to know to trace: equal where the channels are equal, and some kilobytes when pickled.
+    """All that a worker needs to trace: equal if the channels are equal, and some kilobytes when pickled.
 
-    `known_geometry` is the scene's geometry in the process that made the plan, so that it is built once there.
+    `known_geometry` is the scene's geometry in the process that made the plan, so that it is built only once there.
     It is not pickled: another process reads the meshes itself. `paths` says whether paths are asked for. Every receiver
-    of the scene is traced, at each pair of `polarizations`, or at that of the scene where there are none.
+    of the scene is traced, at each pair of `polarizations`, or at that of the scene if there are none.
     """
 
     scene: Scene
@@ -46,7 +46,7 @@ class Tracing:
         return Tracing, fields
 
     def prepared(self) -> PreparedScene:
-        """The scene with its geometry; raises `ClusterError` where a worker finds other meshes than planned."""
+        """The scene with its geometry; raises `ClusterError` if a worker finds other meshes than planned."""
         if self.known_geometry is not None:
             return PreparedScene(self.scene, self.known_geometry)
         prepared = PreparedScene.of(self.scene)
@@ -61,11 +61,11 @@ class Tracing:
 def traced(
     tracing: Tracing, batch: tuple[int, Float[FloatArray, "T 3"]], software: Mapping[str, str] | None = None
 ) -> Channel:
-    """Channel of a batch of transmitters, with the paths where they are asked for.
+    """Channel of a batch of transmitters, with the paths if they are asked for.
 
-    An axis of receivers and one of pairs of polarizations follow the transmitters, each where there are several. The
-    batch's index is for the caller, who finds the result by it. A driver elsewhere says which versions of `software` it
-    has: raises `ClusterError` where this process has others.
+    An axis of receivers and one of pairs of polarizations follow the transmitters, if there are several. The batch's
+    index is for the caller, who finds the result by it. A driver in another process gives its versions of `software`:
+    raises `ClusterError` if this process has others.
     """
     if software is not None and (differing := differences(software, _software(tracing.settings.solver))):
         raise ClusterError(
@@ -77,7 +77,7 @@ def traced(
     counts = [len(tracers)] * (len(tracers) > 1) + [len(tracers[0])] * (len(tracers[0]) > 1)
 
     def joined(name: str) -> NDArray[Any]:
-        """A field of the channels, its axes those of transmitters, links and what follows."""
+        """A field of the channels, with the axes transmitters, links, and its own."""
         of_links = np.moveaxis(np.array([[getattr(channel, name) for channel in row] for row in found]), 2, 0)
         return of_links.reshape(len(tx_position_m), *counts, *of_links.shape[3:])
 

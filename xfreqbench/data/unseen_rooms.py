@@ -1,13 +1,13 @@
-"""Protocol `unseen-rooms`: which rooms a method learns from, and what it hears and is asked for in a room it never saw.
+"""Protocol `unseen-rooms`: which rooms a method learns from, and what it is given and predicts in an unseen room.
 
-A method learns from the training rooms of a collection. In every test room it hears 0, 4, 16 or 64 transmitters at
-1, 10 and 60 GHz. It is then asked for 16 other transmitters of that room, at 2.4, 24.25 and 77 GHz and at the three
-carriers that it heard. What it hears first it also hears when it hears more, and it is always asked for the same, so
-that scores differ by what was heard alone.
+A method learns from the training rooms of a collection. In every test room it is given the maps of 0, 4, 16 or 64
+transmitters at 1, 10 and 60 GHz (`heard`). Then it predicts those of 16 other transmitters of that room, at 2.4, 24.25
+and 77 GHz and at the three given carriers (`asked`). Smaller sets of given transmitters are parts of larger ones, and
+the predicted ones are always the same, so that scores differ only by what was given.
 
-It knows where the array is and how it is built. The room itself is hidden from it: nothing of what it is given says
-where walls stand. Protocol `unseen-rooms-plan` tells it the plan, every surface of which then has one material and one
-thickness, whatever it is made of.
+It knows the position and the elements of the array. The room itself is hidden from it: none of its data say where walls
+are. In protocol `unseen-rooms-plan` it is given the plan, in which every surface has the same material and thickness,
+whatever it is made of.
 
 The test is made in rooms of the types that were trained on, and then in rooms of types that were not, which have
 materials of their own. Settings are chosen in validation rooms: `on="validation"`.
@@ -40,12 +40,12 @@ ROOM_PROTOCOLS = (UNSEEN_ROOMS, UNSEEN_ROOMS_PLAN)
 ROOM_PROTOCOL_VERSION = "1"
 NUMS_HEARD = (0, 4, 16, 64)  # transmitters
 NUM_ASKED = 16
-HEARD_GHZ, ASKED_GHZ = (1.0, 10.0, 60.0), (2.4, 24.25, 77.0)  # it is asked for those it heard too
+HEARD_GHZ, ASKED_GHZ = (1.0, 10.0, 60.0), (2.4, 24.25, 77.0)  # the given carriers are predicted too
 
 
 @dataclass(frozen=True)
 class RoomSplit:
-    """Rooms of one part of a collection, in each of which a number of transmitters is heard.
+    """Rooms of one part of a collection, each with a number of given transmitters.
 
     `name` has part and number, as in `heard-16` and `other-type-heard-16`; `plan_told` is that of protocol
     `unseen-rooms-plan`. `sha256` is the hash of the protocol, its version, the rooms that are trained on, and those
@@ -140,10 +140,10 @@ def _rows(room: PasDataset, tx: Int[IntArray, "T"], carriers_ghz: tuple[float, .
 
 
 def room_splits(collection: Collection, protocol: str, on: str = "test") -> list[RoomSplit]:
-    """The splits of protocol `unseen-rooms` or `unseen-rooms-plan`, by the number of transmitters heard.
+    """The splits of protocol `unseen-rooms` or `unseen-rooms-plan`, by the number of given transmitters.
 
-    On the test rooms, then on those of other types where there are any. Raises `ProtocolError` where there is no room
-    to train or to test on, and where a room is there twice; `UnknownNameError` for another protocol.
+    Those of the test rooms come first, then those of other types, if there are any. Raises `ProtocolError` if there is
+    no room to train or to test on, or a room occurs twice, and `UnknownNameError` for another protocol.
     """
     if protocol not in ROOM_PROTOCOLS:
         raise UnknownNameError("protocol for rooms", protocol, ROOM_PROTOCOLS)
@@ -152,8 +152,8 @@ def room_splits(collection: Collection, protocol: str, on: str = "test") -> list
     for part in ("train", parts[0]):
         if not len(collection.part(part)):
             raise ProtocolError(
-                f"Protocol {protocol!r} needs rooms of part {part!r}, but of the {len(collection)} rooms of "
-                f"{collection.path} none is. Generate more rooms: about one in ten is of each part but the training."
+                f"Protocol {protocol!r} needs rooms of part {part!r}, but none of the {len(collection)} rooms of "
+                f"{collection.path} is. Generate more rooms: about one in ten is in each part except the training."
             )
     plan_told = protocol == UNSEEN_ROOMS_PLAN
     tested = [part for part in parts if len(collection.part(part))]
@@ -164,9 +164,9 @@ def room_splits(collection: Collection, protocol: str, on: str = "test") -> list
 def _require_no_room_twice(collection: Collection) -> None:
     """Raise `ProtocolError` where two rooms of a collection have the same seed, the same data, or the same plan.
 
-    Plans are compared without names and materials: a room with other walls of the same shape is that room, and so is
-    one whose surfaces are a few millimetres elsewhere. A thousand rooms take half a minute, so the answer for a
-    collection is kept for its other splits.
+    Plans are compared without names and materials: rooms with walls of the same shape are the same room, even if
+    surfaces differ by a few millimetres. A thousand rooms take half a minute, so the answer for a collection is kept
+    for its other splits.
     """
     seen, plans = dict[tuple[str, str], Room](), defaultdict[str, list[tuple[Room, FloatArray]]](list)
     for room, dataset in zip(collection.rooms, collection, strict=True):
@@ -175,7 +175,7 @@ def _require_no_room_twice(collection: Collection) -> None:
         if plan := _plan(dataset):
             bare = replace(plan, surface=(), receiver=ReceiverArray(position_m=(0.0, 0.0, 0.0)), other_receivers=())
             spans_m = [[*surface.corners_m.min(axis=0), *surface.corners_m.max(axis=0)] for surface in plan.surface]
-            shape = np.sort(np.reshape(spans_m, (-1, 6)), axis=0).ravel()  # in whatever order the surfaces are
+            shape = np.sort(np.reshape(spans_m, (-1, 6)), axis=0).ravel()  # the order of surfaces does not matter
             plans[f"{len(shape)} {bare.canonical_json}"].append((room, np.append(shape, 0.0)))
     for alike in plans.values():
         near = KDTree([shape for _, shape in alike]).query_pairs(5e-3, p=np.inf)
@@ -186,13 +186,13 @@ def _require_no_room_twice(collection: Collection) -> None:
 def _require_other(collection: Collection, what: str, first: Room, second: Room) -> None:
     if first is not second:
         raise ProtocolError(
-            f"Rooms {first.file} and {second.file} of {collection.path} have the same {what}, so that a test room may "
-            "be trained on. Remove one of them, or generate the collection again."
+            f"Rooms {first.file} and {second.file} of {collection.path} have the same {what}, so a test room may be "
+            "trained on. Remove one of them, or generate the collection again."
         )
 
 
 def _plan(dataset: PasDataset) -> Scene | None:
-    """The scene of a room as it is told: all surfaces of one material, without names; None for data without a scene."""
+    """The plan that methods are given: all surfaces of one material, without names; None for data without a scene."""
     if not json.loads(dataset.header.scene_json):
         return None
     scene = dataset.scene
@@ -200,4 +200,4 @@ def _plan(dataset: PasDataset) -> Scene | None:
         replace(surface, name=f"surface {number}", material="concrete", thickness_m=0.2)
         for number, surface in enumerate(scene.surface)
     )
-    return replace(scene, name="room", description="", surface=tuple(told), material=(), transmitters=None)
+    return replace(scene, name="room", description="", surface=tuple(surfaces), material=(), transmitters=None)

@@ -1,4 +1,4 @@
-"""Which training rows are held out to choose settings by. It is all that methods need to know of splits."""
+"""Which training rows are held out to choose settings. Methods need nothing else of splits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LEAST_TRAINING_TX, LEAST_TRAINING_CARRIERS = 10, 3  # with fewer, nothing is hel
 
 
 def place_index(dataset: PasDataset) -> Int[IntArray, "N"]:
-    """Index of the first transmitter at each sample's place: those within a millimetre of each other have one."""
+    """Index of the first transmitter at each sample's place: those within a millimetre of each other are one place."""
     return _first_at_place(dataset.tables["tx_position_m"].tobytes())[dataset.tx_index]
 
 
@@ -32,7 +32,7 @@ def _first_at_place(tx_position_m: bytes) -> Int[IntArray, "T"]:
 
 
 def inner_carriers_hz(train: PasDataset) -> Float[FloatArray, "F"]:
-    """The carriers of a training that may be held out: all but the lowest and the highest, ascending; maybe none."""
+    """The carriers of a training that may be held out: all except the lowest and the highest, ascending."""
     return np.unique(train.carrier_hz)[1:-1]
 
 
@@ -41,7 +41,7 @@ def validation_tx(
 ) -> Int[IntArray, "t"]:
     """The places of a training's transmitters that are held out, by `place_index`: a tenth, drawn by `generator`.
 
-    They are `least` at least, and `most` at most if it is given; none of fewer than `LEAST_TRAINING_TX`.
+    They are at least `least`, and at most `most` if it is given; none if there are fewer than `LEAST_TRAINING_TX`.
     """
     number = len(np.unique(place_index(train)))
     if number < LEAST_TRAINING_TX:
@@ -51,6 +51,6 @@ def validation_tx(
 
 
 def drawn_tx(dataset: PasDataset, generator: np.random.Generator, number: int) -> Int[IntArray, "t"]:
-    """So many places of a data set's transmitters, drawn by `generator`, by `place_index`."""
+    """`number` places of a data set's transmitters, drawn by `generator`, by `place_index`."""
     places = np.unique(place_index(dataset))
     return places[generator.permutation(len(places))[:number]]

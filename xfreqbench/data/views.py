@@ -1,4 +1,4 @@
-"""Data sets as other libraries take them: figures of Matplotlib and data sets of xarray."""
+"""Data sets for other libraries: figures of Matplotlib and data sets of xarray."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def to_xarray(data: PasDataset) -> Any:
     """The samples as an `xarray.Dataset` along `sample`, with the names, units and angles of the file.
 
     Coordinates of a sample are its transmitter `tx`, its position (x, y, z) and its carrier. All maps are read: for
-    some, give a subset, as in `to_xarray(data[:50])`. Raises as `PasDataset.pas` does, and `XFreqBenchError` where
+    some, give a subset, as in `to_xarray(data[:50])`. Raises as `PasDataset.pas` does, and `XFreqBenchError` if
     xarray is not installed.
     """
     try:

@@ -23,7 +23,7 @@ from xfreqbench.types import FloatArray, NDArray
 class SampleBlock:
     """The samples of T transmitters at F carriers, of each link of the file, as a data set stores them.
 
-    Each map has peak 1, or is zero where no path arrives. `cfr` is None for maps that came without channels.
+    Each map has peak 1, or is zero if no path arrives. `cfr` is None for maps without channels.
     """
 
     maps: Float[NDArray[np.float32], "T *L F E A"]
@@ -59,14 +59,13 @@ class SampleBlock:
 
 
 class PasWriter:
-    """Writes one data set: a context manager that takes samples in blocks and leaves a whole file, or none.
+    """Writes one data set: a context manager that takes samples in blocks and leaves a complete file, or none.
 
-    Maps are on `grid`, the hemisphere unless it is given, and are stored where the header says so. Where it says that
-    paths are stored, `paths` are the numbers of those that will be appended. Raises
-    `StorageError` where the file cannot be written, up front where space is known to be short, and `DataError`
-    where the transmitters appended are not as many as the header says. A file at `path` is replaced at the
-    end, not before: `prove` is first called with the path of the sealed file, which is given up if that raises.
-    Raises `OutputExistsError` where somebody else has written `path` in the meantime.
+    Maps are on `grid`, by default the hemisphere, and are stored if the header says so. If the header says that paths
+    are stored, `paths` are the numbers of those that will be appended. Raises `StorageError` if the file cannot be
+    written, at the beginning if there is too little space, and `DataError` if the number of appended transmitters is
+    not that of the header. A file at `path` is replaced only at the end: `prove` is called with the path of the sealed
+    file, which is removed if that raises. Raises `OutputExistsError` if somebody else has written `path` since.
     """
 
     def __init__(
@@ -109,11 +108,11 @@ class PasWriter:
         samples: SampleBlock,
         paths: RaggedPaths | None = None,
     ) -> None:
-        """Write the next T transmitters with their samples; raises `DataError` where they do not fit the header.
+        """Write the next T transmitters with their samples; raises `DataError` if they do not fit the header.
 
-        Their `paths` are needed where the header says that paths are stored.
+        Their `paths` are needed if the header says that paths are stored.
         """
-        if samples.cfr is None:  # what is written first stands first: equal data have had equal bytes since 0.1
+        if samples.cfr is None:  # the order is that of the file: equal data have had equal bytes since 0.1
             self._file.append("pas", samples.maps)
             self._file.append("peak_power", samples.peak_power)
         else:

@@ -1,8 +1,8 @@
 """How other projects draw the maps that they publish in the PNG layout. Their files do not say, so this table does.
 
-Each field was read in the project's code, or measured on its maps; `read_in` says where. For a folder of someone
-else, take the nearest convention and change fields of it, as in `--set first_column_deg=0`. All maps are drawn in the
-receiver's own frame, whose +z is the pole of the hemisphere; the folder's quaternion turns that frame into the world.
+Each field was read in the project's code, or measured on its maps; `read_in` says where. For another folder, take the
+nearest convention and change its fields, as in `--set first_column_deg=0`. All maps are drawn in the receiver's own
+frame, whose +z is the pole of the hemisphere; the folder's quaternion turns that frame into the world.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Convention:
     """What the pixels of a project's maps mean. Rows and columns are evenly spaced, both ends included.
 
     `values` is what the grey level of a pixel is proportional to: the beam's `amplitude` or `power`, or with
-    `phase-only-amplitude` the amplitude of the beam of h/|h|, the phases of the channel alone. The latter is the
+    `phase-only-amplitude` the amplitude of the beam of h/|h|, only the phases of the channel. The latter is the
     square root of a `phase-only` map of this toolkit; such maps are stored as they were published, with the kind
     `amplitude`. `darkest` is what level 0 means: no power, or the minimum of the map (min-max scaling, which cannot be
     undone). `peak` says where the map of a single wave from direction d is brightest: at d, or at −d if the channel
@@ -166,7 +166,7 @@ CONVENTIONS = {
         _NERF2,
         read_in="Evan-sudo/Swift_WRF, dataloader.py: files of NeRF2's layout, its maps among them",
         caveat="It publishes sets of its own too, but not their generator: that their pixels mean what NeRF2's do is "
-        "an assumption. Sets in which the receiver moves and the transmitter stands have no place in a data set.",
+        "an assumption. A data set cannot hold a receiver that moves while the transmitter is fixed.",
     ),
 }
 # Projects whose data cannot come in as folders of maps, and why.
@@ -194,14 +194,14 @@ def convention_named(name: str, assignments: Iterable[str] = ()) -> Convention:
     rows = convention.first_row_deg, convention.last_row_deg
     if min(rows) < 0 or max(rows) > 90 or rows[0] == rows[1]:
         raise DataError(
-            f"Rows from {rows[0]:g} to {rows[1]:g} degrees are no part of a hemisphere; give --set first_row_deg "
+            f"Rows from {rows[0]:g} to {rows[1]:g} degrees are not in a hemisphere; give --set first_row_deg "
             "and last_row_deg from 0 to 90, and not the same."
         )
     span_deg = abs(convention.last_column_deg - convention.first_column_deg)
     if not 0 < span_deg <= 360:
         raise DataError(
             f"Columns from {convention.first_column_deg:g} to {convention.last_column_deg:g} degrees span "
-            f"{span_deg:g}; give --set first_column_deg and last_column_deg that span more than 0, and 360 at most."
+            f"{span_deg:g}; give --set first_column_deg and last_column_deg that span more than 0, and at most 360."
         )
     return convention
 

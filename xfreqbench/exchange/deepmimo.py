@@ -1,8 +1,8 @@
 """Paths as scenarios of DeepMIMO v4: a folder of arrays for each carrier, as the package `deepmimo` loads them.
 
 DeepMIMO has base stations that transmit and users that receive. The array is its base station here, and the
-transmitters are its users: the channel is the same in both directions. So departure and arrival change places, and
-interactions are told backwards.
+transmitters are its users: the channel is the same in both directions. So departure and arrival are exchanged, and
+interactions are listed in reverse order.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ def export_deepmimo(path: Path, folder: Path, progress: ProgressCallback = ignor
     """Write the paths of the data set at `path` as scenarios `SCENE_24.25ghz`, … in a folder; returns the data set.
 
     A user's paths come with the strongest first; paths without any power are left out. Powers are in dB of received
-    over transmitted power; phases, in degrees, hold exp(−j2πfτ), for `deepmimo` adds the phase over the subcarriers
-    alone; angles are in degrees, elevations counted from the z axis, as its converters do.
+    over transmitted power; phases, in degrees, include exp(−j2πfτ), because `deepmimo` adds only the phase over the
+    subcarriers; angles are in degrees, elevations counted from the z axis, as its converters do.
 
-    `progress` is told how many carriers are done and how many there are. Raises `OutputExistsError` unless `folder`
-    is absent or empty, `DataError` where no paths or no scene are stored, `SceneError` where meshes are not at hand,
-    and `StorageError`.
+    `progress` is called with the number of carriers that are done and of all. Raises `OutputExistsError` unless
+    `folder` is absent or empty, `DataError` if no paths or no scene are stored, `SceneError` if meshes are missing, and
+    `StorageError`.
     """
     require_empty(folder)
     dataset = open_dataset(path)
@@ -141,7 +141,7 @@ def _materials(slabs: Sequence[Slab], carrier_hz: float, policy: MaterialPolicy)
     """What the surfaces are made of at one carrier, by number."""
     materials = {}
     for number, slab in enumerate(slabs):
-        permittivity = complex(np.nan, np.nan)  # of layers, whose names tell them
+        permittivity = complex(np.nan, np.nan)  # of layers, which their names list
         if len(slab.layers) == 1:
             permittivity = complex_permittivity(slab.homogeneous, carrier_hz, policy)
         materials[f"material_{number}"] = {

@@ -87,11 +87,11 @@ def import_deepmimo(
 
     Scenarios of a folder must have the same station and users. What they say of a path is stored once where it is the
     same to the last bit, with gain 0 at the carriers that do not have it. Users without a path are left out. `pair` is
-    the part of the files' names that tells station and users, as `t000_tx000_r001`, where there are several.
-    Elevations are counted from the `zenith`, as DeepMIMO does, or from the `horizon` upwards, as its scenarios from
-    AODT have them; angles that do not point along the paths are refused.
-    `progress` is told how many users are done and how many there are. Raises `DataError` that names the file,
-    `UnknownNameError` for a pair that is not there, `OutputExistsError` and `StorageError`.
+    the part of the files' names for station and users, as `t000_tx000_r001`, if there are several. Elevations are
+    counted from the `zenith`, as DeepMIMO does, or from the `horizon` upwards, as its scenarios from AODT have them;
+    angles that do not point along the paths are refused. `progress` is called with the number of users that are done
+    and of all. Raises `DataError` that names the file, `UnknownNameError` for a pair that is not there,
+    `OutputExistsError` and `StorageError`.
     """
     scenarios = sorted(
         (_read(subfolder, pair, elevations) for subfolder in _folders(folder)), key=lambda scenario: scenario.carrier_hz
@@ -101,7 +101,7 @@ def import_deepmimo(
     is_heard = np.any([scenario.is_path.any(axis=1) for scenario in scenarios], axis=0)
     users = np.flatnonzero(is_heard)
     if not len(users):
-        raise DataError(f"{folder} holds no path. Choose another pair of sets with --pair.")
+        raise DataError(f"{folder} has no path. Choose another pair of sets with --pair.")
     header = _header(folder, scenarios, users, elevations)
     if holds_same_job(path, header, first.user_m[users]):
         return False
@@ -127,7 +127,7 @@ def _folders(folder: Path) -> list[Path]:
         return [folder]
     found = sorted(path.parent for path in folder.glob("*/params.json"))
     if not found:
-        raise DataError(f"{folder} is no scenario of DeepMIMO v4, nor holds any: there is no params.json.")
+        raise DataError(f"{folder} is not a scenario of DeepMIMO v4, and contains none: params.json is missing.")
     return found
 
 
@@ -173,7 +173,7 @@ def _read(folder: Path, pair: str | None, elevations: Elevations) -> Scenario:
 
 
 def _chosen(folder: Path, pair: str | None, stations: set[int]) -> str:
-    """The part of file names that tells station and users; without `pair`, the only one whose receivers are users."""
+    """The part of file names for station and users; without `pair`, the only one whose receivers are users."""
     found = sorted({path.stem.partition("power_")[2] for path in folder.glob("power_t*_r*.*")})
     if pair is not None:
         if pair not in found:
@@ -183,7 +183,7 @@ def _chosen(folder: Path, pair: str | None, stations: set[int]) -> str:
     if len(users) != 1:
         raise DataError(
             f"{folder} holds {'no table of powers' if not found else 'the pairs ' + ', '.join(found)}; "
-            + ("is it whole?" if not found else "choose one with --pair.")
+            + ("is it complete?" if not found else "choose one with --pair.")
         )
     return users[0]
 
@@ -199,35 +199,35 @@ def _require_meaning(scenario: Scenario) -> None:
     is_path, tables, files = scenario.is_path, scenario.of_paths, scenario.files
     for key, table in tables.items():
         if not np.isfinite(table[is_path]).all():
-            raise DataError(f"{files[key]} holds numbers that are not finite where power is given.")
+            raise DataError(f"{files[key]} has numbers that are not finite at places with power.")
     for key, place_m in (("tx_pos", scenario.station_m), ("rx_pos", scenario.user_m)):
         if not (np.abs(place_m) <= FAR_M).all():
-            raise DataError(f"{files[key]} holds positions beyond {FAR_M:g} m, or no numbers.")
+            raise DataError(f"{files[key]} has positions beyond {FAR_M:g} m, or that are not numbers.")
     angles = ((key, -360.0, 360.0) for key in ("aoa_az", "aoa_el", "aod_az", "aod_el"))
     for key, low, high in (("delay", 1e-12, 1.0), ("power", -600.0, 0.0), *angles):
         if not ((tables[key][is_path] >= low) & (tables[key][is_path] <= high)).all():
-            raise DataError(f"{files[key]} holds numbers that do not lie between {low:g} and {high:g}.")
+            raise DataError(f"{files[key]} has numbers that are not between {low:g} and {high:g}.")
     phase_deg = np.abs(tables["phase"][is_path])
     if len(phase_deg) >= 4 and 0 < phase_deg.max() <= 3.15:
-        raise DataError(f"{files['phase']} holds phases of 0 to π alone, which are radians; convert them to degrees.")
+        raise DataError(f"{files['phase']} has only phases from 0 to π, which are radians; convert them to degrees.")
     digits = _digits(tables["inter"][is_path])
     is_met = digits > 0
     is_whole = (np.diff(is_met.astype(int), axis=1) >= 0).all() and (tables["inter"][is_path] % 1 == 0).all()
     if not is_whole or (tables["inter"][is_path] < 0).any() or (digits > max(_CODES)).any():
-        raise DataError(f"{files['inter']} holds numbers other than digits 1 to {max(_CODES)}, or 0.")
+        raise DataError(f"{files['inter']} has numbers other than digits 1 to {max(_CODES)}, or 0.")
     depth = scenario.point_m.shape[2]
     count = is_met.sum(axis=1)
     is_there = np.asarray((np.abs(scenario.point_m[is_path]) <= FAR_M).all(axis=-1))
     needed = np.arange(depth) < count[:, None]
     if (count > depth).any() or not is_there[needed].all():
-        raise DataError(f"{files['inter_pos']} does not hold a point for each interaction that inter names.")
+        raise DataError(f"{files['inter_pos']} lacks points for interactions that inter names.")
 
 
 def _require_geometry(scenario: Scenario, elevations: Elevations) -> None:
     """Raise `DataError` unless paths lead from the station over the points that they meet to users.
 
-    Delays and powers have to fit the lengths of these ways. Everything has to fit for a path in sight. Of all paths
-    half may miss, for converters tell the points of some interactions roughly.
+    Delays and powers have to agree with the lengths. Every direct path has to agree, and at least half of all paths,
+    because converters round the points of some interactions.
     """
     user, place = np.nonzero(scenario.is_path)
     tables = {key: table[user, place] for key, table in scenario.of_paths.items()}
@@ -299,7 +299,7 @@ def _require_alike(folder: Path, scenarios: Sequence[Scenario]) -> None:
         same = np.array_equal(scenario.station_m, first.station_m) and np.array_equal(scenario.user_m, first.user_m)
         if not same:
             raise DataError(
-                f"{folder}: station or users at {format_ghz(scenario.carrier_hz)} stand elsewhere than at "
+                f"{folder}: station or users at {format_ghz(scenario.carrier_hz)} are not those at "
                 f"{format_ghz(first.carrier_hz)}; import the scenarios one by one."
             )
 

@@ -32,9 +32,9 @@ def export_link_table(
 ) -> PasDataset:
     """Write the table of the data set at `path` as CSV, or as Parquet where `output` ends in `.parquet`.
 
-    Columns are those of `link_columns`, of one link after the other; what is not known is empty. `progress` is told how
-    many links are done and how many there are. Raises `OutputExistsError` where something lies at `output`,
-    `DataError` for a data set of maps alone, and `StorageError`.
+    Columns are those of `link_columns`, of one link after the other; what is not known is empty. `progress` is called
+    with the number of links that are done and of all. Raises `OutputExistsError` if `output` exists, `DataError` for
+    data without channels, and `StorageError`.
     """
     require_own(output, lambda _: "is not written over.")
     dataset = open_dataset(path)
@@ -56,7 +56,7 @@ def link_columns(dataset: PasDataset, transmit_power_dbm: float | None = None) -
 
     `gain_db` is received over transmitted power, the mean over the array, and `received_power_dbm` is that at a
     transmitter's power, by default the one that the scene states. `local_mean_db` and what follows are of stored paths,
-    as in `power_db` and `LinkStatistics`. Raises `DataError` for a data set of maps alone.
+    as in `power_db` and `LinkStatistics`. Raises `DataError` for data without channels.
     """
     header, carrier = dataset.header, dataset.rows % dataset.header.num_carriers
     receiver, pair = dataset.link

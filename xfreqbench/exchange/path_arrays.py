@@ -19,7 +19,7 @@ class PaddedPaths:
     """The paths of T transmitters as arrays of T × L, L the longest list, and of T × L × D for their interactions.
 
     `gain` (P,) are the gains of all P paths at one carrier, by which paths are ordered, the strongest of a transmitter
-    first, where `strongest_first`; else the earliest is first.
+    first, where `strongest_first`; otherwise the earliest is first.
     """
 
     def __init__(self, paths: RaggedPaths, carrier: int, strongest_first: bool = False) -> None:
@@ -79,8 +79,8 @@ def export_sionna_npz(path: Path, folder: Path, progress: ProgressCallback = ign
     `theta_r` and `phi_r` (1, T, L); `interactions` and `objects` (D, 1, T, L); `vertices` (D, 1, T, L, 3); `sources`
     (T, 3); `targets` (1, 3). `objects` number `object_names`, and `frequency` is the carrier in hertz.
 
-    `progress` is told how many carriers are done and how many there are. Raises `OutputExistsError` unless `folder`
-    is absent or empty, `DataError` where no paths are stored, and `StorageError`.
+    `progress` is called with the number of carriers that are done and of all. Raises `OutputExistsError` unless
+    `folder` is absent or empty, `DataError` if no paths are stored, and `StorageError`.
     """
     require_empty(folder)
     dataset = open_dataset(path)

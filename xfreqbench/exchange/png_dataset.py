@@ -2,11 +2,11 @@
 
 Nothing is lost on the way in and out: a folder that is exported with the convention with which it was imported has the
 same level at every pixel (and PNGs of the same bytes, if Pillow wrote them), and the same positions, carriers and
-receiver to the last bit. Only the samples are numbered anew, carrier by carrier, and numbers in text files may be
-written in another way. The levels are recovered from the packed maps, which are exact enough to tell 256 levels
-apart, and from `peak_power`, which gives the level of the brightest pixel.
+receiver to the last bit. Only the samples are numbered again, carrier by carrier, and numbers in text files may be
+written in another way. The levels are recovered from the packed maps, which are exact enough for 256 levels, and from
+`peak_power`, which gives the level of the brightest pixel.
 
-If a data set has channels, its maps are computed anew on the grid of the convention, and rounded to the nearest level.
+If a data set has channels, its maps are computed again on the grid of the convention, and rounded to the nearest level.
 The layout has no place for paths, antennas, visibility and received power; `DatasetHeader` says what a data set holds
 instead of them after an import.
 """
@@ -49,7 +49,7 @@ _BATCH = 16
 def import_png_folder(source: PngFolder, path: Path, progress: ProgressCallback = ignore_progress) -> bool:
     """Write a folder as a data set; returns False, and writes nothing, if `path` holds that data set already.
 
-    `progress` is told how many transmitters are done and how many there are. Raises `OutputExistsError` if `path`
+    `progress` is called with the number of transmitters that are done and of all. Raises `OutputExistsError` if `path`
     holds something else, `DataError` and `StorageError`.
     """
     header = _header(source)
@@ -95,7 +95,7 @@ def export_png_folder(
 ) -> PasDataset:
     """Write the data set at `path` as a folder of the PNG layout, whole or not at all; returns the data set.
 
-    `progress` is told how many maps are done and how many there are. Raises `OutputExistsError` unless `folder` is
+    `progress` is called with the number of maps that are done and of all. Raises `OutputExistsError` unless `folder` is
     absent or empty, `DataError` if the data set does not fit the convention, and `StorageError`.
     """
     require_empty(folder)
@@ -188,8 +188,8 @@ def _check_transmitters(dataset: PasDataset) -> None:
     position_m = dataset.tables["tx_position_m"]
     if len(np.unique(position_m, axis=0)) < len(position_m):
         raise DataError(
-            f"{dataset.path} has two transmitters at one position. The layout knows transmitters by their positions "
-            "alone, and cannot tell these two apart."
+            f"{dataset.path} has two transmitters at one position. The layout identifies transmitters only by their "
+            "positions, so it cannot distinguish these two."
         )
 
 
@@ -203,16 +203,16 @@ def _check_maps(dataset: PasDataset, convention: Convention) -> None:
         drawn, expected = imported.get(name, guessed[name]), getattr(convention, name)
         if drawn != expected:
             raise DataError(
-                f"{dataset.path} holds maps alone, whose {name} are {drawn}; without channels they cannot be drawn "
-                f"as {expected}. Export them under the convention by which they came, or give --set {name}={drawn}."
+                f"{dataset.path} has maps without channels, whose {name} are {drawn}; they cannot be drawn "
+                f"as {expected}. Export them with the convention of their import, or give --set {name}={drawn}."
             )
     grid = convention.grid(*dataset.grid.shape)
     for name in ("elevation_rad", "azimuth_rad"):
         has_deg, expected_deg = np.degrees(getattr(dataset.grid, name)), np.degrees(getattr(grid, name))
         if not np.allclose(has_deg, expected_deg, atol=1e-6):
             raise DataError(
-                f"{dataset.path} holds maps alone, with {name.removesuffix('_rad')}s from {has_deg[0]:g} to "
-                f"{has_deg[-1]:g} degrees; without channels they cannot be drawn from {expected_deg[0]:g} to "
-                f"{expected_deg[-1]:g}. Export them under the convention by which they came, or state their own "
-                "rows and columns by --set."
+                f"{dataset.path} has maps without channels, with {name.removesuffix('_rad')}s from {has_deg[0]:g} to "
+                f"{has_deg[-1]:g} degrees; they cannot be drawn from {expected_deg[0]:g} to "
+                f"{expected_deg[-1]:g}. Export them with the convention of their import, or set their own "
+                "rows and columns with --set."
             )

@@ -63,7 +63,7 @@ def shape_of(path: Path) -> tuple[int, int]:
 def read_levels(path: Path) -> Levels:
     """Grey levels (R, C) of a PNG, from 0 to 255, every byte checked by the file's sums; raises `DataError`."""
     with _opened(path) as image:
-        image.verify()  # decoding alone does not look at the sums of pixels
+        image.verify()  # decoding does not check the checksums of pixels
     with _opened(path) as image:
         return np.array(image)
 
@@ -87,11 +87,11 @@ def _opened(path: Path) -> Iterator[Image.Image]:
             yield image
     except Image.DecompressionBombError as error:
         raise DataError(
-            f"{path} has more than {MAX_PIXELS:,} pixels, the most of a map. Export it with fewer."
+            f"{path} has more than {MAX_PIXELS:,} pixels, the limit for a map. Export it with fewer."
         ) from error
     except (OSError, SyntaxError, ValueError) as error:
         fault = getattr(error, "strerror", None) or error
-        raise DataError(f"{path} cannot be read as a PNG ({fault}). Fetch the file again.") from error
+        raise DataError(f"{path} cannot be read as a PNG ({fault}). Download the file again.") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ def read_png_folder(folder: Path, convention: Convention, carrier_ghz: float | N
     `carrier_ghz` is the carrier of all samples, for a folder without `freq.txt`.
     """
     if not folder.is_dir():
-        raise DataError(f"There is no folder {folder}. Give the folder that holds {POSITIONS} and {MAPS}.")
+        raise DataError(f"There is no folder {folder}. Give the folder with {POSITIONS} and {MAPS}.")
     table = read_table(folder / POSITIONS)
     position_m = [tuple(place_m) for place_m in table.position_m().tolist()]
     _check_order(table)
@@ -171,7 +171,7 @@ def _lines(path: Path, most_bytes: float = inf) -> list[str]:
     except (OSError, UnicodeDecodeError) as error:
         fault = error.strerror if isinstance(error, OSError) else error
         raise DataError(
-            f"{path} cannot be read: {fault}. A folder of this layout holds {POSITIONS}, {CARRIERS}, "
+            f"{path} cannot be read: {fault}. A folder of this layout has {POSITIONS}, {CARRIERS}, "
             f"{RECEIVER} and {MAPS}/00001.png, …"
         ) from error
 
@@ -185,14 +185,14 @@ def _numbers(text: str, count: int) -> tuple[float, ...] | None:
     return numbers if len(numbers) == count else None
 
 
-def _carriers_hz(path: Path, told_ghz: float | None, num_samples: int) -> list[float]:
-    """Carrier of every sample in hertz, from `freq.txt`, or `told_ghz` for all if there is no such file."""
-    if told_ghz is not None and path.exists():
-        raise DataError(f"{path} gives the carriers, and --freq {told_ghz:g} another; leave out --freq.")
-    if told_ghz is not None:
-        return [_carrier_hz("--freq", str(told_ghz))] * num_samples
+def _carriers_hz(path: Path, given_ghz: float | None, num_samples: int) -> list[float]:
+    """Carrier of every sample in hertz, from `freq.txt`, or `given_ghz` for all if there is no such file."""
+    if given_ghz is not None and path.exists():
+        raise DataError(f"{path} gives the carriers, and --freq {given_ghz:g} another; leave out --freq.")
+    if given_ghz is not None:
+        return [_carrier_hz("--freq", str(given_ghz))] * num_samples
     if not path.exists():
-        raise DataError(f"There is no {path}. If all samples have one carrier, give it in GHz by --freq.")
+        raise DataError(f"There is no {path}. If all samples have the same carrier, give it in GHz with --freq.")
     return [_carrier_hz(f"{path}, line {number},", line) for number, line in enumerate(_lines(path), start=1)]
 
 
@@ -213,8 +213,8 @@ def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
     quaternion = convention.quaternion_xyzw(published)
     if not 1e-6 < max(map(abs, quaternion)) < 1e6:
         raise DataError(
-            f"{path} has the orientation {list(published)}, a quaternion of no length near 1; [0, 0, 0, 1], in the "
-            "order x, y, z, w, is no turn."
+            f"{path} has the orientation {list(published)}, a quaternion whose length is not 1; [0, 0, 0, 1], in the "
+            "order x, y, z, w, means no rotation."
         )
     is_turned = quaternion != (0.0, 0.0, 0.0, 1.0)
     boresight = quaternion_rotation(quaternion)[:, 2].tolist() if is_turned else (0.0, 0.0, 1.0)
@@ -231,7 +231,7 @@ def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
     except ValidationError as error:
         fault = error.errors()[0]
         place = ".".join(map(str, fault["loc"]))
-        raise DataError(f"{path} describes no receiver: {place}: {fault['msg']}.") from error
+        raise DataError(f"{path} does not describe a receiver: {place}: {fault['msg']}.") from error
 
 
 def _yaml(path: Path) -> dict[Any, Any]:
@@ -240,7 +240,7 @@ def _yaml(path: Path) -> dict[Any, Any]:
         text = "\n".join(_lines(path, 100_000))
         content = yaml.load(text, yaml.BaseLoader)  # which makes no objects but texts, lists and mappings
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise DataError(f"{path} is no YAML: {' '.join(str(error).split())}.") from error
+        raise DataError(f"{path} is not YAML: {' '.join(str(error).split())}.") from error
     return content if isinstance(content, dict) else {}
 
 
@@ -253,12 +253,12 @@ def _check_declared(path: Path, content: dict[Any, Any], convention: Convention)
     differing = [name for name in differing if _numbers(texts.get(name, ""), 1) != (stated[name],)]
     if not all(map(texts.get, differing)):
         raise DataError(
-            f"{path} has no value for {', '.join(differing)} under 'convention'. Remove that line, and give what it "
-            "meant by --set."
+            f"{path} has no value for {', '.join(differing)} under 'convention'. Remove that line, and give its "
+            "meaning with --set."
         )
     if differing:
         raise DataError(
-            f"{path} says that its maps are drawn otherwise than by the convention given, in {', '.join(differing)}. "
+            f"{path} says that its maps differ from the given convention in {', '.join(differing)}. "
             f"Give {' '.join(f'--set {name}={declared[name]}' for name in differing)} too."
         )
 
@@ -280,7 +280,7 @@ def _listed(path: Path, gateway: dict[Any, Any], key: str, count: int) -> tuple[
     listed = gateway[key] if isinstance(gateway[key], list) else []
     numbers = _numbers(",".join(entry if isinstance(entry, str) else "" for entry in listed), count)
     if numbers is None:
-        raise DataError(f"{path} must hold under {key!r} a list of {count} finite numbers, like {list(range(count))}.")
+        raise DataError(f"{path} must have a list of {count} finite numbers as {key!r}, like {list(range(count))}.")
     return numbers
 
 
@@ -303,13 +303,13 @@ def _check_index_files(folder: Path, convention: Convention, num_samples: int) -
             if not is_number or not first <= int(text) < first + num_samples:
                 raise DataError(
                     f"{path}, line {number}, is {line!r}; {num_samples} samples are numbered {first} to "
-                    f"{first + num_samples - 1} (--set index=…). Splits are made here, so that this file may "
-                    "also be deleted."
+                    f"{first + num_samples - 1} (--set index=…). Protocols make the splits, so this file "
+                    "may also be deleted."
                 )
 
 
 def _check_order(table: Table) -> None:
-    """Raise `DataError` where a column says which map each line belongs to, in another order than that of the lines.
+    """Raise `DataError` if a column says which map each line belongs to, in another order than that of the lines.
 
     Such a column holds 0, 1, … or 1, 2, …, or names of images, or different numbers under such a name or none.
     """
@@ -323,7 +323,7 @@ def _check_order(table: Table) -> None:
             row = next(row for row, number in enumerate(numbers) if number != ascending[row])
             raise DataError(
                 f"{table.path}, line {table.lines[row]}, is of {table.columns[column][row]!r} by its column {name!r}, "
-                "but lines are in the order of maps. Sort them by that column, or remove it if it means something else."
+                "but lines need the order of maps. Sort them by that column, or remove it if it means something else."
             )
 
 

@@ -11,10 +11,10 @@ file with a group for each split that was predicted, named as the split. These l
             group["pas"] = predict(split["test_tx_position_m"][:], split["test_carrier_hz"][:])
             group.attrs.update(split.attrs, method="mine")
 
-`pas` holds maps (N, E, A) in the order of `test_row`: numbers in [0, 1], peak 1, or all zero where the method hears
-nothing. Coordinates may be beside it by their names in the split file, which they are compared with. MATLAB writes the
-same file from an array of size [A E N], because its first index is the last one in HDF5. A single split may be at the
-root of the file.
+`pas` holds maps (N, E, A) in the order of `test_row`: numbers in [0, 1], peak 1, or all zero where the method expects
+no power. Coordinates may be added by their names in the split file; they are compared with it. MATLAB writes the same
+file from an array of size [A E N], because its first index is the last one in HDF5. A single split may be at the root
+of the file.
 
 The attributes of a group, or of the root for all groups, are `split_sha256` (copied), `method` (a name) and, if they
 are known, `dataset_sha256` (copied), `fit_seconds`, `predict_ms_per_map`, `parameters`, `hardware`, `url` and `seed`.
@@ -123,7 +123,7 @@ def score_file(
     """Check a file of predictions for the data set `data`, copy them into `results_dir`, and score and record the copy.
 
     `method` replaces the method's name that the file gives. If the same content is scored again, its records are
-    returned and none is added. `checking` and `scoring` are told how many maps are done and how many there are.
+    returned and none is added. `checking` and `scoring` are called with the number of maps that are done and of all.
     Raises `DataError` or `UnknownNameError` for anything wrong with the file, before a map is scored, and
     `StorageError`.
     """
@@ -163,7 +163,7 @@ def _checked(part: Part, grid_shape: tuple[int, int]) -> tuple[str, bool]:
 
 
 def _scored(part: Part, dataset: PasDataset, data: str, file_sha256: str, folder: ResultsFolder) -> RunRecord:
-    """The record of a part: the one in `folder` if it is there, else a new one, which is stored."""
+    """The record of a part: the one in `folder` if there is one, otherwise a new one, which is stored."""
     split, declared = part.split, part.declared
     record_id = json_sha256(["external", dataset.sha256, file_sha256, split.sha256, METRICS_VERSION])[:16]
     with exclusive(folder.run_lock_path(record_id)):
@@ -234,7 +234,7 @@ def _groups(path: Path, file: Any, dataset: PasDataset, known: Mapping[str, Spli
         if name not in known:
             raise UnknownNameError(f"split of {dataset.path.name} for {path},", name, known)
         if not is_group(foreign_item(file, name)):
-            raise DataError(f"{path}: {name!r} is no group of this file. Make it a group with a dataset 'pas'.")
+            raise DataError(f"{path}: {name!r} is not a group of this file. Make it a group with a dataset 'pas'.")
     return members
 
 
@@ -301,7 +301,7 @@ def _check_dataset(place: str, group: Any, shape: tuple[int, int, int]) -> None:
     stored = foreign_item(group, "pas")
     if stored is None or is_group(stored):
         raise DataError(
-            f"{place}: 'pas' is a link, no dataset, or in chunks far larger than all of it. Write it as a dataset of "
+            f"{place}: 'pas' is a link, not a dataset, or in chunks far larger than its data. Write it as a dataset of "
             f"shape {shape} into the file itself."
         )
     if stored.shape != shape:
@@ -314,7 +314,7 @@ def _check_dataset(place: str, group: Any, shape: tuple[int, int, int]) -> None:
 
 
 def _check_coordinates(place: str, group: Any, dataset: PasDataset, split: Split) -> None:
-    """Raise `DataError` where coordinates beside the maps are not those of the split, in its order."""
+    """Raise `DataError` if the group's coordinates are not those of the split, in its order."""
     tested, grid = dataset[split.test], dataset.grid
     known = {"row": split.test, "tx_position_m": tested.tx_position_m, "carrier_hz": tested.carrier_hz}
     known |= {f"test_{name}": values for name, values in known.items()} | {"sample": split.test}
@@ -327,6 +327,6 @@ def _check_coordinates(place: str, group: Any, dataset: PasDataset, split: Split
         tolerance = {"rtol": 0} if expected.dtype.kind == "i" else {"rtol": 1e-6, "atol": 1e-5}  # of single precision
         if not (is_alike and np.allclose(np.ravel(stored), expected, **tolerance)):
             raise DataError(
-                f"{place}: {name!r} is not that of the split file, so that maps would be taken for others. Write them "
+                f"{place}: {name!r} is not that of the split file, so maps would be assigned wrongly. Write them "
                 "in its order: test_row, elevation_deg, azimuth_deg."
             )

@@ -54,9 +54,9 @@ def export_shards(
 ) -> int:
     """Write a data set, or a collection of rooms, as a folder of shards, whole or not at all; returns how many maps.
 
-    The parts of a collection are splits of their own: `train`, `validation`, `test`, `other_type`. `progress` is told
-    how many maps are done and how many there are. Raises `OutputExistsError` unless `folder` is absent or empty,
-    `XFreqBenchError` where pyarrow, which writes Parquet, is not installed, `DataError` and `StorageError`.
+    The parts of a collection are splits of their own: `train`, `validation`, `test`, `other_type`. `progress` is called
+    with the number of maps that are done and of all. Raises `OutputExistsError` unless `folder` is absent or empty,
+    `XFreqBenchError` if pyarrow, which writes Parquet, is not installed, `DataError` and `StorageError`.
     """
     require_empty(folder)
     write = _write_parquet if to == "datasets" else _write_tar
@@ -82,7 +82,7 @@ def _splits(path: Path) -> Mapping[str, PasDataset | Collection]:
     parts = {part.replace("-", "_"): collection.part(part) for part in PARTS}
     if found := {name: rooms for name, rooms in parts.items() if len(rooms)}:
         return found
-    raise XFreqBenchError(f"{path} holds no room: its generation was not finished. Run the same command again.")
+    raise XFreqBenchError(f"{path} has no rooms: its generation was not finished. Run the same command again.")
 
 
 def _num_maps(data: PasDataset | Collection) -> int:

@@ -43,14 +43,14 @@ def write_splits(
 ) -> bool:
     """Write a split file of splits of one protocol; returns False, and writes nothing, if it is there already.
 
-    With `maps`, their training maps come along. `progress` is told how many maps are written and how many there are; a
-    few of them are in memory at once. Raises `ProtocolError` for splits that cannot be handed out,
+    With `maps`, their training maps come along. `progress` is called with the number of maps that are written and of
+    all; a few of them are in memory at once. Raises `ProtocolError` for splits that a file cannot hold,
     `OutputExistsError` if `path` holds something else, `StorageError`, and `DataError` if a map cannot be read.
     """
     if any(split.receivers for split in splits):
         raise ProtocolError(
-            f"Protocol {splits[0].protocol!r} trains on other receivers, which a split file does not hold. "
-            "Hand out another protocol."
+            f"Protocol {splits[0].protocol!r} trains on other receivers, which a split file cannot hold. "
+            "Choose another protocol."
         )
     if maps:
         _require_untold(splits)
@@ -78,9 +78,9 @@ def _require_untold(splits: Sequence[Split]) -> None:
         for other in splits:
             if np.isin(split.train, other.test).any():
                 raise ProtocolError(
-                    f"With its training maps, split {split.name!r} hands out maps that {other.name!r} tests. "
-                    "Choose one of them with --targets, leave --maps out, or take a protocol that trains on no "
-                    "map that it tests elsewhere: sparse, held-out-tx, held-out-block, lofo-unseen-tx or "
+                    f"With its training maps, split {split.name!r} contains maps that {other.name!r} tests. "
+                    "Choose one of them with --targets, leave --maps out, or choose a protocol that never "
+                    "trains on a map that it also tests: sparse, held-out-tx, held-out-block, lofo-unseen-tx or "
                     "random-samples."
                 )
 

@@ -86,8 +86,8 @@ class BartlettBeam:
     def _powers(self, cfr: Complex[NDArray[np.complex64], "B M"]) -> Float[NDArray[np.float32], "B K"]:
         """Powers of the beams towards all directions, one channel after another in one thread.
 
-        Some processors round the rows of one product by their number and place, and by the number of threads. So a
-        channel has the same map, to the last bit, whatever others it comes with.
+        Some processors round the rows of one product by their number and place, and by the number of threads. So the
+        map of a channel is the same, to the last bit, in every batch.
         """
         beam = np.empty(self.conjugate_steering.shape[1], np.complex64)
         powers = np.empty((len(cfr), len(beam)), np.float32)

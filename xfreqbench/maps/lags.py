@@ -1,8 +1,8 @@
-"""Maps as what an array hears of them: the correlations of its elements, summed over pairs with the same lag.
+"""Maps as an array measures them: the correlations of its elements, summed over pairs with the same lag.
 
 The power of a beam, aᴴ C a / M², depends on the covariance C = E[h hᴴ] of the channel only through its sums over pairs
 of elements with the same lag. For a 4×4 array these are 49 real numbers, for any number of directions and of channels
-that add up in C; they are stored as 25 complex sums, of which that of lag zero is real.
+that add up in C. They are stored as 25 complex sums; the sum of lag zero is real.
 """
 
 from __future__ import annotations

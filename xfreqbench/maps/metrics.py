@@ -143,7 +143,7 @@ def aoa_error(predicted: SampleMaps, truth: SampleMaps, grid: AngularGrid) -> Sc
     """
     directions = grid.directions.reshape(-1, 3)
     there, here = directions[_peak(predicted)], directions[_peak(truth)]
-    sine = np.linalg.norm(np.cross(there, here), axis=1)  # arccos alone loses half the digits near 0
+    sine = np.linalg.norm(np.cross(there, here), axis=1)  # arccos loses half the digits near 0
     angle_deg = np.degrees(np.arctan2(sine, (there * here).sum(axis=1)))
     return np.where(_is_flat(truth), 0.0, np.where(_is_flat(predicted), 180.0, angle_deg))
 

@@ -1,7 +1,7 @@
 """The room that a seed draws from a family: its walls, its array and its furniture, the same on every machine.
 
-What is computed of the random numbers is sums, products, quotients and square roots alone, whose every digit IEEE 754
-fixes. Coordinates are rounded to millimetres.
+Only sums, products, quotients and square roots are computed of the random numbers, because IEEE 754 fixes their every
+digit. Coordinates are rounded to millimetres.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class DrawnRoom:
-    """A room that a seed drew from a family: its type, its scene, and where in it transmitters may stand."""
+    """A room that a seed drew from a family: its type, its scene, and the possible positions of transmitters."""
 
     seed: int
     type: RoomType
@@ -53,7 +53,7 @@ class DrawnRoom:
     def transmitters(self, number: int) -> Float[FloatArray, "T 3"]:
         """Random places for transmitters, the first of more; in the room, outside of furniture, off walls and array.
 
-        Raises `PlacementError` where there is hardly any free space.
+        Raises `PlacementError` if there is hardly any free space.
         """
         dice, found = Dice(self.seed, 1), list[Point]()
         array_m = np.asarray(self.scene.receiver.position_m)
@@ -75,8 +75,7 @@ class DrawnRoom:
 def draw_room(family: FilePath | Family, seed: Annotated[int, Field(ge=0, lt=2**63)]) -> DrawnRoom:
     """The room that a seed draws from a family, which is given by name, path or itself.
 
-    Raises as `load_family`, and `SceneError` for a family that leaves no place for the array, or of which a room has no
-    valid form.
+    Raises as `load_family`, and `SceneError` for a family that leaves no place for the array, or draws an invalid room.
     """
     family = family if isinstance(family, Family) else load_family(family)
     with form_errors(f"room {seed} of family {family.name!r}", Scene):
@@ -334,7 +333,7 @@ def _faces_of(box: tuple[Fraction3, Fraction3]) -> tuple[list[Fraction3], list[t
 def _placed(
     piece: Piece, outline_m: Float[FloatArray, "n 2"], height_m: float, solids: Sequence[Solid], dice: Dice
 ) -> _Placed | None:
-    """A piece at a free place; None where none of some places is free."""
+    """A piece at a free place; None if none of some places is free."""
     width_m, depth_m, tall_m = (_rounded(dice.between(span)) for span in piece.size_m)
     tall_m = min(tall_m, _rounded(height_m - _LIFTED_M - _BELOW_CEILING_M))
     low_m = _rounded(height_m - _BELOW_CEILING_M - tall_m) if piece.at == "ceiling" else _LIFTED_M

@@ -88,16 +88,16 @@ class PiecePart:
         if (self.box is None) == (not self.faces):
             raise ValueError(f"part {self.name!r} needs either a box, or vertices and faces")
         if any(number >= len(self.vertices) for face in self.faces for number in face):
-            raise ValueError(f"a face of part {self.name!r} names a vertex that there is not")
+            raise ValueError(f"a face of part {self.name!r} names a vertex that does not exist")
         return self
 
 
 @record(frozen=True, config=_STRICT)
 class Piece:
-    """A piece of furniture: spans of width, depth and height, where it stands or hangs, and its parts.
+    """A piece of furniture: spans of width, depth and height, its place, and its parts.
 
-    At a `wall` it stands with its back, y = 0 of its parts, to one; in the `room` it stands anywhere, turned by
-    quarters or, if `turned`, by any angle; under the `ceiling` it hangs.
+    At a `wall` its back, y = 0 of its parts, is at a wall; in the `room` it is anywhere, turned by quarters or, if
+    `turned`, by any angle; under the `ceiling` it hangs.
     """
 
     name: Name
@@ -128,7 +128,7 @@ class ArrayPlace:
 class RoomType:
     """The distribution of one type of room.
 
-    `share` is how often it is drawn, beside those of the other types; with `held_out` its rooms are for the test alone.
+    `share` is how often it is drawn, relative to the other types; with `held_out` its rooms are only for the test.
     Whole numbers and choices are equally likely; an outline that is named twice is twice as likely. Partitions run from
     wall to wall, with a doorway, or, `partial` of them, end before. Of the doorways of partitions `open` have no door.
     """
@@ -208,7 +208,7 @@ class Family:
 
     @property
     def held_out_types(self) -> tuple[str, ...]:
-        """Names of the types whose rooms are for the test alone."""
+        """Names of the types whose rooms are only for the test."""
         return tuple(room_type.name for room_type in self.type if room_type.held_out)
 
 

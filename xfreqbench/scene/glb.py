@@ -1,4 +1,4 @@
-"""Triangles of a GLB file (binary glTF 2.0), with the names of their nodes and materials, and nothing else of it.
+"""Triangles of a GLB file (binary glTF 2.0), with the names of their nodes and materials; nothing else is read.
 
 trimesh reads GLB too, but gives nodes of several materials random names, which the hash of a scene would hold, leaves
 out triangle fans without a word, and opens images.
@@ -21,7 +21,7 @@ from xfreqbench.types import FloatArray, IntArray, NDArray
 _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 _FLOAT = 5126
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_WHAT = {1: "index", 3: "position", 4: "rotation"}  # of accessors, by their number of columns
+_WHAT = {1: "an index", 3: "a position", 4: "a rotation"}  # of accessors, by their number of columns
 _INSTANCES, _VISIBILITY = "EXT_mesh_gpu_instancing", "KHR_node_visibility"
 # say more about nodes and meshes, but move nothing; or have the meshes a second time, compressed
 _HARMLESS = (
@@ -78,7 +78,7 @@ def _check_extensions(header: dict[str, Any]) -> None:
     refused = dict.fromkeys(name for name in unknown if not name.startswith(handled))
     if refused:
         raise ValueError(
-            f"it uses {', '.join(refused)}, of which nothing is read here; export it without compression and without it"
+            f"it uses {', '.join(refused)}, which cannot be read; export it without compression and without it"
         )
 
 
@@ -93,7 +93,7 @@ def _nodes(header: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Float[Float
     while waiting:
         index, above = waiting.pop()
         if index in met or index < 0:
-            raise ValueError(f"node {index} stands in two places of its tree")
+            raise ValueError(f"node {index} is in two places of its tree")
         met.add(index)
         is_visible = nodes[index].get("extensions", {}).get(_VISIBILITY, {}).get("visible", True)
         if not isinstance(is_visible, bool):
@@ -112,7 +112,7 @@ def _local_matrix(node: dict[str, Any]) -> Float[FloatArray, "4 4"]:
     if "matrix" in node:
         given: Float[FloatArray, "4 4"] = np.array(node["matrix"], np.float64).reshape(4, 4).T
         if not np.allclose(given[3], matrix[3], atol=1e-6):
-            raise ValueError(f"the matrix of node {node.get('name')!r} ends in {given[3]}, where 0, 0, 0, 1 is needed")
+            raise ValueError(f"the matrix of node {node.get('name')!r} ends in {given[3]}, but 0, 0, 0, 1 is needed")
         return given
     turn = Rotation.from_quat(node.get("rotation", [0, 0, 0, 1])).as_matrix()
     matrix[:3, :3] = turn * np.array(node.get("scale", [1, 1, 1]), np.float64)
@@ -192,7 +192,7 @@ def _accessor(header: dict[str, Any], binary: bytes, index: int, types: dict[int
     if view.get("buffer", 0) != 0 or "uri" in header["buffers"][0]:
         raise ValueError("its geometry is in another file; export it as one .glb")
     if accessor["componentType"] not in types or accessor["type"] != {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[columns]:
-        raise ValueError(f"accessor {index} is no {_WHAT[columns]} of glTF 2.0")
+        raise ValueError(f"accessor {index} is not {_WHAT[columns]} of glTF 2.0")
     dtype = np.dtype(types[accessor["componentType"]])
     stride = view.get("byteStride", columns * dtype.itemsize)
     offset = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)

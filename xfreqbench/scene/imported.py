@@ -76,8 +76,8 @@ class Slab(NamedTuple):
         """What a slab of one layer is made of; raises `SceneError` for one of several."""
         if len(self.layers) > 1:
             raise SceneError(
-                f"Material {str(self.material)!r} has {len(self.layers)} layers, which solver image alone traces. "
-                "Choose it, with what it takes (--solver image), or give the surfaces a material of one layer."
+                f"Material {str(self.material)!r} has {len(self.layers)} layers, which only solver image traces. "
+                "Choose it (--solver image), or give the surfaces a material of one layer."
             )
         return self.layers[0].material
 
@@ -110,12 +110,12 @@ def bounded(shapes: Iterable[ImportedShape], path: Path) -> Iterator[ImportedSha
 
 
 def slab_of(stated: StatedMaterial | None, table: Mapping[str, SceneMaterial], source: str, name: str) -> Slab:
-    """The slab that the material of a shape stands for; `source` says in words which shape that is.
+    """The slab of the material of a shape; `source` says in words which shape that is.
 
     A shape without a material has the one of its own `name` in the scene's table. An entry of
     that table comes first: under the material's name as the file has it, under its plain name, or under that of the
-    P.2040 material that the file states. Else it is what the file states, or the P.2040 material of its plain name,
-    where `Glass` is glass. Raises `SceneError` where the name means nothing, or there is none.
+    P.2040 material that the file states. Otherwise it is what the file gives, or the P.2040 material of its plain name,
+    where `Glass` is glass. Raises `SceneError` if the name means nothing, or there is none.
     """
     if stated is None and name not in table:
         raise SceneError(
@@ -143,7 +143,7 @@ def slab_of(stated: StatedMaterial | None, table: Mapping[str, SceneMaterial], s
 
 
 def rough(scattering: Scattering | None) -> Scattering | None:
-    """The scattering of a surface, None where its coefficient is 0."""
+    """The scattering of a surface, None if its coefficient is 0."""
     return scattering if scattering and scattering.coefficient > 0 else None
 
 

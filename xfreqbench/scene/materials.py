@@ -2,7 +2,7 @@
 
 Relative permittivity is ε' = a·f^b and conductivity σ = c·f^d in S/m, with f in GHz. The table is here and not
 only in Sionna RT, so that a scene can be checked, and traced by the image method, without loading Sionna; a
-test compares it with Sionna's. Beside them stand materials of a scene's own, which are the same at every carrier.
+test compares it with Sionna's. A scene's own materials are added to them; they are the same at every carrier.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class LayeredMaterial:
 
 SlabMaterial = Material | LayeredMaterial
 ScatteringPattern = Literal["lambertian", "directive", "backscattering"]
-_PATTERN_NUMBERS = ("alpha_r", "alpha_i", "lambda_")  # the directive pattern has the first alone
+_PATTERN_NUMBERS = ("alpha_r", "alpha_i", "lambda_")  # the directive pattern has only the first
 
 
 @pydantic_dataclass(frozen=True, config=ConfigDict(extra="forbid"))
@@ -246,17 +246,17 @@ class SceneMaterial:
             others = ("itu", "relative_permittivity", "conductivity_s_m", "thickness_m")
             stated = [name for name in others if getattr(self, name) is not None]
             if stated:
-                raise ValueError(f"material {self.name!r} has layers and {' and '.join(stated)}; state one of them")
+                raise ValueError(f"material {self.name!r} has layers and {' and '.join(stated)}; give one of them")
             return self
         if is_own and self.itu is not None:
             raise ValueError(
-                f"material {self.name!r} is {self.itu!r} and has a relative_permittivity; state one of them"
+                f"material {self.name!r} is {self.itu!r} and has a relative_permittivity; give one of them"
             )
         if self.conductivity_s_m is not None and not is_own:
-            raise ValueError(f"material {self.name!r} has a conductivity_s_m; state its relative_permittivity too")
+            raise ValueError(f"material {self.name!r} has a conductivity_s_m; give its relative_permittivity too")
         is_preset = not is_own and self.itu is None and self.name in PRESETS
         if is_preset and self.thickness_m is not None:
-            raise ValueError(f"material {self.name!r} has layers, whose thickness is theirs; leave thickness_m out")
+            raise ValueError(f"material {self.name!r} has layers with their own thickness; leave thickness_m out")
         if not is_own and not is_preset:
             with faults_named(f"material {self.name!r}"):
                 material_bands(self.itu or self.name)
@@ -284,7 +284,7 @@ PRESETS = {
 
 
 def material_named(name: str, table: Mapping[str, SceneMaterial]) -> SlabMaterial:
-    """What a name stands for: a material of a scene's own table, a preset, or one of P.2040.
+    """The material of a name: a material of a scene's own table, a preset, or one of P.2040.
 
     Raises `UnknownNameError` for another name, and `ValueError` for a layer of what has layers itself.
     """
@@ -299,9 +299,7 @@ def material_named(name: str, table: Mapping[str, SceneMaterial]) -> SlabMateria
     for layer in own.layers:
         other = table.get(layer.material) if layer.material != name else None
         if (other is not None and other.layers is not None) or layer.material in PRESETS:
-            raise ValueError(
-                f"a layer of material {name!r} is {layer.material!r}, which has layers itself; state those"
-            )
+            raise ValueError(f"a layer of material {name!r} is {layer.material!r}, which has layers itself; give those")
         material = other.material if other else layer.material
         material_bands(material)
         layers.append(Layer(material, layer.thickness_m))

@@ -30,7 +30,7 @@ _PLY_FACES = ("vertex_index", "vertex_indices")
 def read_mesh(path: Path, kind: MeshKind) -> Triangles:
     """Triangles of a mesh file, as it states them; faces of more corners are split.
 
-    Raises whatever the reading raises: an `OSError` for a file that cannot be read, and others for what is in it.
+    Raises what reading raises: an `OSError` for a file that cannot be read, and others for what is in it.
     """
     import trimesh
 
@@ -44,7 +44,7 @@ def read_mesh(path: Path, kind: MeshKind) -> Triangles:
 
 @contextmanager
 def mesh_errors(source: str, path: Path) -> Iterator[None]:
-    """Turn whatever the reading of a mesh file raises into a `SceneError`, or a `StorageError` of the system.
+    """Turn any error of reading a mesh file into a `SceneError`, or a `StorageError` of the system.
 
     `source` says in words which file it is.
     """
@@ -86,7 +86,7 @@ def _in_ascii(text: bytes) -> bytes:
 def _whole_stl(content: bytes) -> bytes:
     """An STL as trimesh understands it: in ASCII without words of the format in names of solids, on which it stumbles.
 
-    Raises `ValueError` where it is cut, of which trimesh says nothing.
+    Raises `ValueError` if it is cut, which trimesh does not report.
     """
     if len(content) == 84 + 50 * int.from_bytes(content[80:84], "little"):  # a binary one
         return content
@@ -107,7 +107,7 @@ def _is_whole(words: bytes, with_normals: bool = False) -> bool:
 
 
 def _read_ply(content: bytes) -> Triangles:
-    """Triangles of a PLY, as trimesh reads them, but for concave faces, and for faces of several sizes in binary."""
+    """Triangles of a PLY, read by trimesh except for concave faces, and for faces of several sizes in binary."""
     import trimesh
 
     header, end, body = content.partition(b"end_header")
@@ -117,7 +117,7 @@ def _read_ply(content: bytes) -> Triangles:
     counts = [words[2] for words in map(bytes.split, header.splitlines()) if words[:1] == [b"element"]]
     if b"ascii" in header and sum(map(bool, map(bytes.strip, body.splitlines()))) > sum(map(int, counts)):
         raise ValueError("it is longer than its header says")
-    try:  # from memory: no texture is looked for beside the file
+    try:  # from memory: no texture is searched
         mesh = trimesh.load_mesh(io.BytesIO(content), file_type="ply", process=False, skip_materials=True)
         raw = mesh.metadata.get("_ply_raw", {})  # none where there are no faces
         rows = raw.get("face", {}).get("data")
@@ -144,7 +144,7 @@ def _read_ply(content: bytes) -> Triangles:
 
 
 def _binary_polygons(content: bytes) -> tuple[list[list[int]], Float[FloatArray, "V 3"]]:
-    """Faces and vertices of a binary PLY whose faces differ in size; raises `ValueError` where it is cut."""
+    """Faces and vertices of a binary PLY whose faces differ in size; raises `ValueError` if it is cut."""
     header, _, body = content.partition(b"end_header")
     start = body.index(b"\n") + 1
     order: Literal["<", ">"] = ">" if b"binary_big_endian" in header else "<"
@@ -197,7 +197,7 @@ def read_scene(path: Path, materials: Mapping[str, SceneMaterial]) -> list[Impor
         read = (p.shape(materials) for p in _obj_parts(content)) if is_obj else read_glb(content, materials)
         shapes = list(bounded(read, path))
     if not shapes:
-        raise SceneError(f"The scene {path} holds no triangles. Export it with its meshes.")
+        raise SceneError(f"The scene {path} has no triangles. Export it with its meshes.")
     return shapes
 
 
@@ -216,13 +216,13 @@ class _ObjPart:
         return Triangles(self.vertices_m[used], triangles.reshape(-1, 3).astype(np.int64))
 
     def shape(self, materials: Mapping[str, SceneMaterial]) -> ImportedShape:
-        """The part in the scene; raises `ValueError` where the name that tells its material is not UTF-8."""
+        """The part in the scene; raises `ValueError` if the name of its material is not UTF-8."""
         name, material = (
             word.encode(errors="surrogateescape").decode(errors="replace") for word in (self.name, self.material)
         )
         if material != self.material or (not material and name != self.name):
             raise ValueError(
-                f"the name {material or name!r}, which tells a material, is not UTF-8; save the file as UTF-8, as with "
+                f"the name {material or name!r} of a material is not UTF-8; save the file as UTF-8, as with "
                 "iconv -f GBK -t UTF-8, or give names in ASCII"
             )
         source = f"object {name!r}"
@@ -231,7 +231,7 @@ class _ObjPart:
 
 
 def _obj_parts(content: bytes) -> list[_ObjPart]:
-    """Parts of a Wavefront OBJ, one for each object (`o`, or else `g`) and material (`usemtl`), in their order.
+    """Parts of a Wavefront OBJ, one for each object (`o`, otherwise `g`) and material (`usemtl`), in their order.
 
     Negative indices count back from the latest vertex. Library files, normals and textures are not read. Raises
     `ValueError` with the line. Names that are not UTF-8 have surrogates, so that none is taken for another.
@@ -243,7 +243,7 @@ def _obj_parts(content: bytes) -> list[_ObjPart]:
         keyword, _, rest = line.partition(" ")
         # free-form surfaces, an old word for faces, and other files
         if keyword in ("surf", "fo", "call"):
-            raise ValueError(f"line {number} is {keyword!r}, of which nothing is read here; export meshes as faces (f)")
+            raise ValueError(f"line {number} is {keyword!r}, which cannot be read; export meshes as faces (f)")
         try:
             if keyword == "v":
                 x, y, z = (parse_number(word) for word in rest.split()[:3])

@@ -31,7 +31,7 @@ SIONNA = "sionna:"  # begins the name of a scene that Sionna RT brings
 class SurfaceMesh:
     """K triangles on V vertices, of one material, each a slab of `thickness_m`.
 
-    With `least_patch`, only those mirror that lie in a coplanar patch of at least that size; else all do.
+    With `least_patch`, only those in a coplanar patch of at least that size reflect; otherwise all do.
     """
 
     name: str
@@ -89,7 +89,7 @@ def _parallelogram(
     first: Int[IntArray, "3"],
     second: Int[IntArray, "3"],
 ) -> FloatArray | None:
-    """Corners (4, 3) in turn, where two triangles about a diagonal make a parallelogram, else None."""
+    """Corners (4, 3) in turn, if two triangles about a diagonal make a parallelogram, otherwise None."""
     (apex,) = set(first.tolist()) - set(diagonal) or {diagonal[0]}
     (opposite,) = set(second.tolist()) - set(diagonal) or {diagonal[0]}
     a, b, c, d = vertices_m[[apex, diagonal[0], opposite, diagonal[1]]]
@@ -177,10 +177,10 @@ def _imported_shapes(scene: Scene) -> list[ImportedShape]:
 def _require_upright(
     scene: Scene, path: Path, shapes: Sequence[ImportedShape], turns: dict[str, Float[FloatArray, "3 3"]], up: str
 ) -> None:
-    """Raise `SceneError` where what a file holds seems to lie on its side when it is read with `up` upwards.
+    """Raise `SceneError` if the content of a file seems to lie on its side when it is read with `up` upwards.
 
-    So it does where the receiver, or receiver and grid, stand outside of the box about everything, and inside if the
-    other axis were up; and where its middle is at height 0, on which it would stand if the other axis were up. A
+    So it does if the receiver, or receiver and grid, are outside of the box about everything, and would be inside if
+    the other axis were up; and if its middle is at height 0, and its bottom would be if the other axis were up. A
     single wall or ground has no inside.
     """
     vertices_m = np.concatenate([shape.triangles.vertices_m for shape in shapes])
@@ -200,14 +200,16 @@ def _require_upright(
         return bool(((all_m.min(axis=0) <= points_m) & (points_m <= all_m.max(axis=0))).all())
 
     if any(holds(other, some) and not holds(up, some) for some in (points_m[:1], points_m)):
-        fault = f"the receiver at {points_m[0].tolist()}, or the grid, stands outside of all that it holds, and inside"
+        fault = (
+            f"the receiver at {points_m[0].tolist()}, or the grid, is outside of all that it holds, and would be inside"
+        )
     # 0.3 m: the most that a floor is thick, or a room off the middle where it is centred
     elif abs(turned_low_m) < 0.3 < -low_m and abs(low_m + high_m) < 0.3 and holds(other, points_m):
-        fault = f"its height goes from {low_m:.4g} to {high_m:.4g} m, and it would stand on height 0"
+        fault = f"its height goes from {low_m:.4g} to {high_m:.4g} m, and would begin at height 0"
     else:
         return
     raise SceneError(
-        f"{path} is read with {up} upwards: {fault} if {other} were up. Say which is right, with up = 'y' or up = 'z' "
+        f"{path} is read with {up} upwards: {fault} if {other} were up. Choose with up = 'y' or up = 'z' "
         "in the scene's TOML."
     )
 
@@ -226,7 +228,7 @@ def _mesh_file(name: str, folder: Path) -> Path:
 def _imported_mesh(shape: ImportedShape, least_patch: PatchSize | None) -> SurfaceMesh:
     vertices_m, triangles = shape.triangles
     if not ((triangles >= 0) & (triangles < len(vertices_m))).all():
-        raise SceneError(f"{shape.source} cannot be read: a face has a vertex that is not there.")
+        raise SceneError(f"{shape.source} cannot be read: a face has a vertex that does not exist.")
     with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused below
         mesh = _surface_mesh(shape.name, shape.slab, shape.triangles, least_patch)
     if not (np.abs(mesh.vertices_m) <= FAR_M).all():

@@ -73,7 +73,7 @@ def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[Imp
     stated = cache(lambda bsdf: _stated_material(_nested(bsdf, bsdfs), path))
     shapes = [shape for element in elements for shape in element.iter("shape")]
     if not shapes:
-        raise SceneError(f"{path} holds no <shape>. Give the Mitsuba scene that has the room's meshes.")
+        raise SceneError(f"{path} has no <shape>. Give the Mitsuba scene that has the room's meshes.")
     for shape in shapes:
         name = shape.get("id", "unnamed").removeprefix("mesh-")
         where = f"{path}: shape {name!r}"
@@ -95,7 +95,7 @@ def read_xml(path: Path, materials: Mapping[str, SceneMaterial]) -> Iterator[Imp
             if "\\" in filename and not file.exists():  # as Windows writes it
                 file = path.parent / filename.replace("\\", "/")
             source = f"{path}: the mesh {file} of shape {name!r}"
-            with mesh_errors(source, file):  # trimesh raises whatever its parsers do
+            with mesh_errors(source, file):  # trimesh raises what its parsers raise
                 triangles = meshes(file, cast("MeshKind", kind))
         placed = _placed(triangles, shape, where)
         if shape.find("./boolean[@name='flip_normals'][@value='true']") is not None:
@@ -170,7 +170,7 @@ class _Document:
 
 
 def _bsdfs(elements: list[Element], path: Path) -> dict[str, Element]:
-    """Every material by its id, those that stand in others too, and those that have a second id as an alias."""
+    """Every material by its id, also those inside others, and those that have a second id as an alias."""
     found: dict[str, Element] = {}
     for element in elements:
         for bsdf in element.iter("bsdf"):
@@ -194,7 +194,7 @@ def _bsdf_of(shape: Element, bsdfs: dict[str, Element], where: str) -> Element:
     if not own:
         raise SceneError(f"{where} refers to no material of this file; add <ref id='mat-…'/>.")
     if not all(_are_alike(own[0], other) for other in own):
-        raise SceneError(f"{where} has {len(own)} materials; leave one, and split the shape where it has several.")
+        raise SceneError(f"{where} has {len(own)} materials; leave one, and split the shape if it has several.")
     return own[0]
 
 
@@ -232,7 +232,8 @@ def _stated_material(nested: list[Element], path: Path) -> StatedMaterial:
 def _check_properties(bsdf: Element, name: str, path: Path) -> None:
     """Raise `SceneError` or `UnknownNameError` for a property that would be passed over, or taken for another.
 
-    Materials of looks alone (diffuse, principled, twosided, …) may have any others beside a thickness and a `type`.
+    Materials of appearance (diffuse, principled, twosided, …) may have any others in addition to a thickness and a
+    `type`.
     """
     kind = bsdf.get("type", "")
     if kind not in _OWN_PROPERTIES and re.search("radio|^itu", kind, re.IGNORECASE):
@@ -276,7 +277,7 @@ def _material(bsdf: Element, name: str, path: Path) -> Material | None:
     conductivity_s_m = _number(bsdf, "conductivity", path, 0.0, MAX_CONDUCTIVITY_S_M)
     if permittivity is None:
         raise SceneError(
-            f"{path}: material {name!r} states no relative_permittivity. "
+            f"{path}: material {name!r} has no relative_permittivity. "
             "Add <float name='relative_permittivity' value='…'/>, which holds at every carrier."
         )
     return ConstantMaterial(name, permittivity, conductivity_s_m or 0.0)
@@ -370,14 +371,14 @@ def _placed(triangles: Triangles, shape: Element, where: str) -> Triangles:
     if not transforms:
         return triangles
     if len(transforms) > 1 or transforms[0].get("name") != "to_world":
-        raise SceneError(f"{where} has a <transform> besides 'to_world'; leave one, named 'to_world'.")
+        raise SceneError(f"{where} has a second <transform>; leave one, named 'to_world'.")
     matrix = _affine_transform(transforms[0], where)
     with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later
         return Triangles(triangles.vertices_m @ matrix[:3, :3].T + matrix[:3, 3], triangles.triangles)
 
 
 def _text(element: Element, name: str) -> str:
-    """Value of an element's `<string>` of a name; empty where there is none."""
+    """Value of an element's `<string>` of a name; empty if there is none."""
     found = element.find(f"./string[@name='{name}']")
     return found.get("value", "") if found is not None else ""
 

@@ -42,7 +42,7 @@ PositiveMetres = Annotated[float, Field(gt=0, le=FAR_M, allow_inf_nan=False)]
 
 Pattern = Literal["iso", "dipole", "tr38901"]
 Polarization = Literal["V", "H"]
-PolarizationPair = Literal["VV", "VH", "HV", "HH"]  # what the transmitter sends in, then what the receiver hears in
+PolarizationPair = Literal["VV", "VH", "HV", "HH"]  # polarization of the transmitter, then of the receiver
 POLARIZATION_PAIRS: tuple[PolarizationPair, ...] = get_args(PolarizationPair)
 Degrees = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 Orientation = tuple[Degrees, Degrees, Degrees]  # bearing, downtilt and slant: see `orientation_rotation`
@@ -56,14 +56,14 @@ UNIT_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "i
 class Surface:
     """A box, a rectangle or a polygon of one material, each face a slab of `thickness_m`.
 
-    A material with layers has a thickness of its own. Its first layer is at the outside of a box, at the side of a
+    A material with layers has its own thickness. Its first layer is at the outside of a box, at the side of a
     rectangle to which its axis points, and at the side of a polygon from which its corners turn counter-clockwise.
 
-    From `min_m` to `max_m` it is a rectangle where they agree along one axis (a wall, a pane), else the six faces of a
-    closed box (a cabinet). `vertices_m` in their place are the corners, in turn, of a polygon in any plane. It may be
-    concave and touch itself, as with a slit to a hole, but not cross itself. Corners up to 1 mm off
-    its plane are moved into it. With `mirrors = false` it blocks and transmits, and mirrors nothing, as small things
-    do. The JSON leaves out what is not given.
+    From `min_m` to `max_m` it is a rectangle if they agree along one axis (a wall, a pane), otherwise the six faces of
+    a closed box (a cabinet). `vertices_m` instead of them are the corners, in order, of a polygon in any plane. It may
+    be concave and touch itself, as with a slit to a hole, but not cross itself. Corners up to 1 mm off its plane are
+    moved into it. With `mirrors = false` it blocks and transmits, but does not reflect, as small objects do. The JSON
+    omits fields that are not given.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Surface:
         if (extent < 0).any() or (extent == 0).sum() > 1:
             raise ValueError(
                 f"surface {self.name!r} spans {self.min_m} to {self.max_m}; max_m must exceed min_m along "
-                "at least two axes and never lie below it"
+                "at least two axes and never be below it"
             )
         return self
 
@@ -101,7 +101,7 @@ class Surface:
 
 
 class Antenna(NamedTuple):
-    """What a device sends and receives with: see `ReceiverArray`."""
+    """The antenna of a device: see `ReceiverArray`."""
 
     pattern: Pattern
     polarization: Polarization
@@ -131,18 +131,18 @@ class ReceiverArray:
     """A planar array whose boresight is the pole of the hemisphere of directions.
 
     Elements are `spacing_wavelengths` apart at each carrier, by default half a wavelength. All of them have the same
-    antenna. It has axes of its own: it looks along x, and z points up. They are turned by `antenna_orientation_deg`,
+    antenna. It has its own axes: it looks along x, and z points up. They are turned by `antenna_orientation_deg`,
     bearing, downtilt and slant as in 3GPP TR 38.901. By default they are the world's, but elements of pattern `tr38901`
-    look along the boresight, with z as near to the world's vertical as can be (the world's x, where they look down).
+    look along the boresight, with z as near to the world's vertical as possible (the world's x, if they look down).
 
     `pattern` is `iso`, `dipole` (short) or `tr38901` (the element of Table 7.3-1, 8 dBi), and `polarization` is `V` or
-    `H`. A dipole lies along z (`V`) or y (`H`). The field of the others is along the unit vector of the polar angle
+    `H`. A dipole is along z (`V`) or y (`H`). The field of the others is along the unit vector of the polar angle
     (`V`) or of the azimuth (`H`) about z.
 
-    `plane` and `orientation` are for data sets that others published. In plane `yz` of its frame, the array holds
-    the pole, and `boresight` is the pole alone. `orientation`, a quaternion x, y, z, w, is the whole turn from the
-    frame to the world, and its pole has to be the boresight. `name` tells the receivers of a scene with several apart.
-    The JSON leaves these out where they are not given.
+    `plane` and `orientation` are for data sets that others published. In plane `yz` of its frame, the array contains
+    the pole, and `boresight` is only the pole. `orientation`, a quaternion x, y, z, w, is the whole rotation from the
+    frame to the world, and its pole has to be the boresight. `name` identifies a receiver of a scene with several. The
+    JSON omits these fields if they are not given.
     """
 
     position_m: Point
@@ -169,7 +169,7 @@ class ReceiverArray:
         if self.orientation is None:
             return self
         if not np.linalg.norm(self.orientation) > 1e-6:
-            raise ValueError("the receiver's orientation is the zero quaternion; [0, 0, 0, 1] is no turn")
+            raise ValueError("the receiver's orientation is the zero quaternion; [0, 0, 0, 1] means no rotation")
         pole = np.asarray(self.boresight) / np.linalg.norm(self.boresight)
         if not np.allclose(self.rotation[:, 2], pole, atol=1e-6):
             raise ValueError(
@@ -194,7 +194,7 @@ class ReceiverArray:
 
     @property
     def resolves_directions(self) -> bool:
-        """Whether maps tell directions; those of one element, or of elements nearly at one point, hardly vary."""
+        """Whether maps resolve directions; those of one element, or of elements nearly at one point, hardly vary."""
         # any two maps of a smaller array have an SSIM above .998
         return (max(self.rows, self.cols) - 1) * self.spacing_wavelengths >= 0.05
 
@@ -217,7 +217,7 @@ class ReceiverArray:
 
     @property
     def in_plane_xy(self) -> ReceiverArray:
-        """The array with the same elements at the same places of the world that lies in plane `xy` of its frame."""
+        """An array in plane `xy` of its frame whose elements are at the same positions in the world."""
         if self.plane == "xy":
             return self
         rotation = self.rotation[:, [1, 2, 0]]
@@ -226,7 +226,7 @@ class ReceiverArray:
 
     @property
     def local_origin_m(self) -> Float[FloatArray, "3"]:
-        """Where coordinates count from that single precision holds: whole metres, 0 where the array is near the origin.
+        """The origin of coordinates in single precision: whole metres, 0 if the array is near the origin.
 
         Single precision holds a place to .5 m at UTM coordinates. Along each axis this is the array's coordinate,
         rounded, where that is beyond `NEAR_M`.
@@ -244,9 +244,9 @@ class ReceiverArray:
 class TransmitterGrid:
     """A lattice of positions for transmitters; those nearer than `clearance_m` to anything are left out.
 
-    `pattern` and `polarization` are those of all transmitters, also of those put elsewhere; by default the receiver's,
-    but `iso` beside a receiver of pattern `tr38901`. `orientation_deg` turns their antennas (see `ReceiverArray`).
-    `power_dbm` is what each transmits, for `received_power_dbm`; no channel depends on it.
+    `pattern` and `polarization` are those of all transmitters, also of those at other positions; by default the
+    receiver's, but `iso` for a receiver of pattern `tr38901`. `orientation_deg` turns their antennas (see
+    `ReceiverArray`). `power_dbm` is the power that each sends, for `received_power_dbm`; no channel depends on it.
     """
 
     min_m: Point
@@ -266,8 +266,8 @@ class TransmitterGrid:
             raise ValueError(f"the transmitter grid's min_m {self.min_m} exceeds its max_m {self.max_m}")
         if (num_candidates := prod(self._num_steps)) > MAX_CANDIDATES:
             raise ValueError(
-                f"the transmitter grid has {num_candidates:,.0f} positions, but {MAX_CANDIDATES:,} are the most; "
-                "give it a larger step_m, or less space"
+                f"the transmitter grid has {num_candidates:,.0f} positions, and at most {MAX_CANDIDATES:,} are "
+                "allowed; give it a larger step_m, or less space"
             )
         return self
 
@@ -288,7 +288,7 @@ class TransmitterGrid:
 
 
 class PatchSize(NamedTuple):
-    """The least size of a coplanar patch of a mesh that mirrors; `width_m` is 4·area / perimeter."""
+    """The least size of a coplanar patch of a mesh that reflects; `width_m` is 4·area / perimeter."""
 
     area_m2: float = 0.05
     width_m: float = 0.1
@@ -296,19 +296,19 @@ class PatchSize(NamedTuple):
 
 @dataclass(frozen=True, config=_STRICT)
 class Scene:
-    """A room as rays meet it: surfaces, one receiver array and, where positions are not given, a grid of transmitters.
+    """A room for tracing rays: surfaces, a receiver array and, if positions are not given, a grid of transmitters.
 
     `scene` may name a file whose meshes are added to the surfaces: a Mitsuba XML, GLB or OBJ, relative to `folder`,
-    or `sionna:NAME` for a scene that Sionna RT brings. In the file the axis `up` points upwards, by default y in a GLB,
-    as glTF demands, and z in the others, and lengths are in `unit`, by default metres. `outside` says that the array,
-    or all transmitters, are meant to stand outside of all surfaces. `material` names materials. `rooms` names closed
-    meshes whose inside is free space; without it, they are found. `closed` promises that nothing leads out of the room
-    of the receiver. A file may have several `[[receiver]]`, each with a name: those after the first are
-    `other_receivers`. `transmitter_polarization` goes before what the grid of transmitters states.
+    or `sionna:NAME` for a scene that ships with Sionna RT. In the file the axis `up` points upwards, by default y in a
+    GLB, as glTF demands, and z in the others, and lengths are in `unit`, by default metres. `outside` allows the array,
+    or all transmitters, to be outside of all surfaces. `material` names materials. `rooms` names closed meshes whose
+    inside is free space; without it, they are found. `closed` states that the room of the receiver has no opening. A
+    file may have several `[[receiver]]`, each with a name: those after the first are `other_receivers`.
+    `transmitter_polarization` overrides that of the grid of transmitters.
 
-    `mirrors` says what of these meshes mirrors: with `patches`, the default, connected coplanar patches of at least
-    `least_patch_area_m2` and `least_patch_width_m`, while smaller ones block and transmit only; with `facets`, every
-    triangle, however small beside the wavelength. Surfaces mirror, but for those that say `mirrors = false`.
+    `mirrors` says which parts of these meshes reflect: with `patches`, the default, connected coplanar patches of at
+    least `least_patch_area_m2` and `least_patch_width_m`, while smaller ones only block and transmit; with `facets`,
+    every triangle, however small compared with the wavelength. Surfaces reflect unless they have `mirrors = false`.
     """
 
     name: str
@@ -339,19 +339,19 @@ class Scene:
     def _agrees_with_itself(self) -> Scene:
         if self.receiver.plane != "xy":
             raise ValueError(
-                f"the receiver lies in plane {self.receiver.plane!r} of its frame; rays are traced to arrays in "
-                "'xy' alone, which is the default: leave the plane out"
+                f"the receiver is in plane {self.receiver.plane!r} of its frame; rays are traced only to arrays in "
+                "'xy', which is the default: leave the plane out"
             )
         of_file = "up", "unit", "mirrors", "least_patch_area_m2", "least_patch_width_m"
         given = [name for name in of_file if getattr(self, name)]
         if given and self.scene is None:
             raise ValueError(
-                f"{given[0]!r} is about the meshes of a file, but the scene names none: name it, as in scene = "
+                f"{given[0]!r} is for the meshes of a file, but the scene names no file: name it, as in scene = "
                 f'"room.glb", or leave {given[0]!r} out; lengths of surfaces are in metres'
             )
         receivers = self.receivers if self.other_receivers else ()
         if not all(receiver.name for receiver in receivers):
-            raise ValueError('of several receivers each needs a name of its own, as in name = "north"')
+            raise ValueError('each of several receivers needs its own name, as in name = "north"')
         for kind, named in (("surface", self.surface), ("material", self.material), ("receiver", receivers)):
             names = Counter(item.name or "" for item in named)
             twice = sorted(name for name, count in names.items() if count > 1)
@@ -371,7 +371,7 @@ class Scene:
         return self.receiver, *self.other_receivers
 
     def with_receiver(self, *names: str) -> Scene:
-        """The scene with some of its receivers alone, the first without a name; raises `UnknownNameError`."""
+        """The scene with only some of its receivers, the first if no name is given; raises `UnknownNameError`."""
         by_name = {receiver.name: receiver for receiver in self.receivers if receiver.name is not None}
         for name in names:
             if name not in by_name:
@@ -380,7 +380,7 @@ class Scene:
         return replace(self, receiver=first, other_receivers=tuple(others))
 
     def with_polarization(self, pair: PolarizationPair) -> Scene:
-        """The scene whose transmitters send in the first of the two polarizations, and whose receivers hear the second.
+        """The scene with the first of two polarizations for its transmitters, and the second for its receivers.
 
         `pair` is one of `POLARIZATION_PAIRS`; raises `UnknownNameError`.
         """
@@ -398,16 +398,16 @@ class Scene:
         return {material.name: material for material in self.material}
 
     def slab_of(self, surface: Surface) -> Slab:
-        """What a surface is made of: a material of the scene's table, or of P.2040.
+        """The slab of a surface, of a material of the scene's table or of P.2040.
 
-        Raises `UnknownNameError` for another, and `ValueError` where the thickness does not fit.
+        Raises `UnknownNameError` for another, and `ValueError` if the thickness does not fit.
         """
         material, thickness_m = material_named(surface.material, self.materials), surface.thickness_m
         if isinstance(material, LayeredMaterial):
             total_m = material.thickness_m
             if not isclose(thickness_m or total_m, total_m, rel_tol=1e-6):
                 raise ValueError(
-                    f"surface {surface.name!r} states thickness_m = {thickness_m:g}, but the layers of "
+                    f"surface {surface.name!r} has thickness_m = {thickness_m:g}, but the layers of "
                     f"{material.name!r} are {total_m:g} m thick; leave thickness_m out"
                 )
             thickness_m = total_m
@@ -421,7 +421,7 @@ class Scene:
 
     @property
     def transmitter_antenna(self) -> Antenna:
-        """The antenna of every transmitter, as `TransmitterGrid` says, but for `transmitter_polarization`."""
+        """The antenna of every transmitter, by `TransmitterGrid` and `transmitter_polarization`."""
         pattern, polarization, _ = self.receiver.antenna
         usual = Antenna("iso" if pattern == "tr38901" else pattern, polarization)
         stated = {name: getattr(self.transmitters, name, None) for name in Antenna._fields}
@@ -430,7 +430,7 @@ class Scene:
 
     @property
     def antenna_settings(self) -> dict[str, Any]:
-        """The transmitters' antenna, for the header of data; empty where it is that of the receiver."""
+        """The transmitters' antenna, for the header of data; empty if it is that of the receiver."""
         pattern, polarization, orientation_deg = antenna = self.transmitter_antenna
         if antenna == self.receiver.antenna:
             return {}
@@ -439,7 +439,7 @@ class Scene:
 
     @property
     def least_patch(self) -> PatchSize | None:
-        """The least patch of imported meshes that mirrors; None where every triangle does."""
+        """The least patch of imported meshes that mirrors; None if every triangle does."""
         area_m2 = self.least_patch_area_m2 or PatchSize().area_m2
         width_m = self.least_patch_width_m or PatchSize().width_m
         return None if self.mirrors == "facets" else PatchSize(area_m2, width_m)

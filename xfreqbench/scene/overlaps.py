@@ -1,4 +1,4 @@
-"""The check that no two surfaces of different slabs lie on one another, where a ray could meet either."""
+"""The check that no two surfaces of different slabs overlap in one plane, where a ray could meet either."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def check_overlaps(geometry: Geometry) -> None:
         more = ", and more do" if len(found) > _MAX_NAMED else ""
         raise SceneError(
             f"{'; '.join(shown)}{more}: a ray could meet either. Cut the one out of the other, set them at least 1 cm "
-            "apart, or make both of one slab."
+            "apart, or give both the same slab."
         )
 
 
 def nearly_in_one_plane(geometry: Geometry) -> str | None:
-    """A text that names two objects with parallel surfaces less than 1 mm apart, or None where there are none.
+    """A text that names two objects with parallel surfaces less than 1 mm apart, or None if there are none.
 
     They may be a pane in front of a wall, or one object that is given twice. A path passes both surfaces.
     """
@@ -62,7 +62,7 @@ def nearly_in_one_plane(geometry: Geometry) -> str | None:
     normal = np.cross(large_m[1] - large_m[0], large_m[2] - large_m[0])
     apart_m = np.abs((small_m - large_m[0]) @ normal).max() / np.linalg.norm(normal)
     a, b = (geometry.meshes[mesh].name for mesh in sorted(geometry.mesh_of_triangle[list(pair)]))
-    return f"{a!r} and {b!r} lie {apart_m * 1e3:.2g} mm apart at {format_point(small_m.mean(axis=0))} m"
+    return f"{a!r} and {b!r} are {apart_m * 1e3:.2g} mm apart at {format_point(small_m.mean(axis=0))} m"
 
 
 def _overlapping(
@@ -97,7 +97,7 @@ def _overlapping(
         if level > 0:
             halves = (2 * pairs[:, None] + np.array([[0, 0, 1, 1], [0, 1, 0, 1]])[:, :, None]).reshape(2, -1)
             meeting = _meeting(levels[level - 1], halves)
-            # so many are looked at together
+            # the number that is checked at once
             parts = np.array_split(meeting, len(meeting.T) // 250_000 + 1, axis=1)
             waiting += [(level - 1, part) for part in parts if part.size]
             continue
@@ -116,7 +116,7 @@ def _overlapping(
 
 
 def _meeting(box: Float[FloatArray, "n 14"], pairs: Int[IntArray, "2 p"]) -> Int[IntArray, "2 m"]:
-    """Pairs of boxes, the first not after the second, that meet and do not hold one slab alone; a box is low, −high."""
+    """Pairs of boxes, the first not after the second, that meet and have more than one slab; a box is low, −high."""
     pairs = pairs[:, (pairs[0] <= pairs[1]) & (pairs[1] < len(box))]
     for axis in range(6):
         low, high = box[pairs, axis], -box[pairs, axis + 7]

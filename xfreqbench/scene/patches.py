@@ -1,7 +1,8 @@
 """Which triangles of a scene mirror: of imported meshes only those in coplanar patches that are large enough.
 
-A facet that is small beside the wavelength scatters a wave and does not mirror it. Rays that treat it as a mirror
-find glints: paths by facets of some square centimetres, which mean nothing and which no number of rays finds all of.
+A facet that is small compared with the wavelength scatters a wave and does not act as a mirror. Rays that treat it as a
+mirror find glints: paths by facets of some square centimetres, which mean nothing and which no number of rays finds all
+of.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ def _coplanar(
     """Patch of each triangle, from its normal, twice its area, and all pairs of neighbours.
 
     Neighbours are parallel where their normals differ by no more than `PLANE_TOLERANCE`, or than what float32 leaves
-    uncertain about the normal of a triangle as narrow as the narrower. So that a gently curved surface is no patch,
+    uncertain about the normal of a triangle as narrow as the narrower. So that a gently curved surface is not a patch,
     all triangles of a patch lie within `PLANE_TOLERANCE` of the plane through its largest along the mean normal; those
     beyond make others.
     """
@@ -125,7 +126,7 @@ def _numbered(*columns: NDArray[Any]) -> Int[IntArray, "n"]:
 
 
 def _welded(corners_m: Float[FloatArray, "K 3 3"]) -> Int[IntArray, "K 3"]:
-    """Index of the vertex at each corner; corners that float32 can hardly tell apart share one.
+    """Index of the vertex at each corner; corners that float32 can hardly distinguish share one.
 
     Formats like PLY and STL may repeat a vertex for each of its triangles, rounded each time.
     """

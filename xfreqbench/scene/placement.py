@@ -1,4 +1,4 @@
-"""Positions where the receiver and the transmitters of a scene can stand."""
+"""Possible positions of the receiver and the transmitters of a scene."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def place_transmitters(
 ) -> Placement:
     """Positions of the scene's grid outside every object and at least `clearance_m` from surfaces and receiver.
 
-    The receiver is the whole array, as wide as at the lowest carrier, where that is given, else its centre; all
-    receivers of the scene count. Raises `PlacementError` where no position is left, and for a scene without a grid.
+    The receiver is the whole array, as wide as at the lowest carrier, if that is given, otherwise its centre; all
+    receivers of the scene count. Raises `PlacementError` if no position is left, and for a scene without a grid.
     """
     if scene.transmitters is None:
         raise PlacementError(
@@ -70,9 +70,9 @@ def place_transmitters(
 
 
 def choose_transmitters(placement: Placement, num_transmitters: int | None, seed: int) -> Float[FloatArray, "T 3"]:
-    """All usable positions, or a random choice of so many in grid order, which depends on the seed alone.
+    """All usable positions, or a random choice of `num_transmitters` in grid order, which depends only on the seed.
 
-    Raises `PlacementError` where more are asked for than there are, or none.
+    Raises `PlacementError` if more are asked for than there are, or none.
     """
     usable = placement.tx_position_m
     if num_transmitters is None:
@@ -89,7 +89,7 @@ def choose_transmitters(placement: Placement, num_transmitters: int | None, seed
 def check_transmitters(
     scene: Scene, meshes: Sequence[SurfaceMesh], tx_position_m: Float[FloatArray, "T 3"], carrier_hz: Sequence[float]
 ) -> None:
-    """Raise `PlacementError` for the first position where no transmitter can stand.
+    """Raise `PlacementError` for the first position where no transmitter can be.
 
     That is a position that is not finite, in an object, on a surface, or on an element of the array at one of the
     carriers.
@@ -102,7 +102,7 @@ def check_transmitters(
     if not is_near.all():
         row = int(np.flatnonzero(~is_near.all(axis=1))[0])
         raise PlacementError(
-            f"Transmitter {row} stands at {format_point(tx_position_m[row])} m; give finite metres, up to {FAR_M:g}."
+            f"Transmitter {row} is at {format_point(tx_position_m[row])} m; give finite metres, up to {FAR_M:g}."
         )
     _check_free(scene, meshes, tx_position_m, "Transmitter")
     check_inside(scene, meshes, tx_position_m, "Every transmitter")
@@ -125,15 +125,15 @@ def _check_distance(
     if distance_m[index] < MIN_SEPARATION_M:
         at = f" at {format_ghz(carrier_hz)}" if carrier_hz else ""
         raise PlacementError(
-            f"{what} {index} stands {distance_m[index] * 1e3:.1f} mm from {of}, at {format_point(points_m[index])} m"
+            f"{what} {index} is {distance_m[index] * 1e3:.1f} mm from {of}, at {format_point(points_m[index])} m"
             f"{at}. Keep at least {MIN_SEPARATION_M * 1e3:g} mm away."
         )
 
 
 def check_receiver(scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_hz: float) -> None:
-    """Raise `PlacementError` where an element of the array stands in an object, on a surface or behind one.
+    """Raise `PlacementError` if an element of the array is in an object, on a surface or behind one.
 
-    It is checked at the lowest carrier, where the array is widest. With a mesh file the array may not stand outside of
+    It is checked at the lowest carrier, where the array is widest. With a mesh file the array may not be outside of
     everything either, and a room that is too high raises `SceneError`.
     """
     check_inside(scene, meshes, np.array([scene.receiver.position_m]), "The receiver")
@@ -145,14 +145,14 @@ def check_receiver(scene: Scene, meshes: Sequence[SurfaceMesh], lowest_carrier_h
     is_behind = ~sees(meshes, element_m, points_m[0])
     if is_behind.any():
         raise PlacementError(
-            f"Receiver{name} at {format_ghz(lowest_carrier_hz)} a surface stands between the array's centre and its "
+            f"Receiver{name} at {format_ghz(lowest_carrier_hz)} a surface is between the array's centre and its "
             f"element at {format_point(element_m[is_behind.argmax()])} m. Move the array, or ask for higher carriers, "
             "at which it is smaller."
         )
 
 
 def check_inside(scene: Scene, meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"], what: str) -> None:
-    """Raise `PlacementError` where all points stand outside of a scene, unless it says `outside`.
+    """Raise `PlacementError` if all points are outside of a scene, unless it has `outside`.
 
     With a mesh file that is outside of all meshes; for any scene, three times as far from surfaces and receivers as
     these measure, which is where positions in centimetres or millimetres would be.
@@ -165,14 +165,14 @@ def check_inside(scene: Scene, meshes: Sequence[SurfaceMesh], points_m: Float[Fl
     if are_far or (is_of_file and are_outside(meshes, points_m).all()):
         how = "how the file is meant, as in unit = 'mm' and up = 'y', or " if is_of_file else ""
         raise PlacementError(
-            f"{what} of scene {scene.name!r} stands outside of all {'meshes' if is_of_file else 'surfaces'}, at "
+            f"{what} of scene {scene.name!r} is outside of all {'meshes' if is_of_file else 'surfaces'}, at "
             f"{format_point(points_m[0])} m; they measure {_size(meshes)} from {format_point(bounds_m(meshes)[0])} m. "
-            f"Move it, in metres, or say in the scene's TOML {how}outside = true where it is to stand there."
+            f"Move it, in metres, or write into the scene's TOML {how}outside = true if it is meant to be there."
         )
 
 
 def _check_height(scene: Scene, meshes: Sequence[SurfaceMesh]) -> None:
-    """Raise `SceneError` where the room of a mesh file is so high that its unit, which is not stated, is no metre."""
+    """Raise `SceneError` if the room of a mesh file is so high that its unit, which is not given, is not the metre."""
     if not _has_file(scene) or scene.unit is not None:
         return
     receiver_m, (low_m, high_m) = np.asarray(scene.receiver.position_m), bounds_m(meshes)
@@ -182,8 +182,8 @@ def _check_height(scene: Scene, meshes: Sequence[SurfaceMesh]) -> None:
     is_high_room = (free_above or free_below) and not (has_no_roof or has_no_floor)
     if is_high_room or high_m[2] - low_m[2] > 1000.0:
         raise SceneError(
-            f"Scene {scene.name!r} measures {_size(meshes)}; its room is more than {HIGHEST_ROOM_M:g} m high. Say in "
-            "its TOML what its mesh file is in: unit = 'mm', 'cm', 'in' or 'ft', or unit = 'm' if it is in metres."
+            f"Scene {scene.name!r} measures {_size(meshes)}; its room is more than {HIGHEST_ROOM_M:g} m high. Write "
+            "the unit of its mesh file into its TOML: unit = 'mm', 'cm', 'in' or 'ft', or unit = 'm' for metres."
         )
 
 
@@ -197,7 +197,7 @@ def _size(meshes: Sequence[SurfaceMesh]) -> str:
 
 
 def are_outside(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"]) -> Bool[NDArray[np.bool_], "N"]:
-    """Whether each of N points is beside or below all meshes, or farther above them than they are large.
+    """Whether each of N points is next to or below all meshes, or farther above them than they are large.
 
     Nothing is outside of a single wall or ground, which holds nothing.
     """
@@ -222,8 +222,8 @@ def _check_free(
         index = int(np.flatnonzero(enclosing >= 0)[0])
         name = objects[enclosing[index]].name
         raise PlacementError(
-            f"{what} {index} stands inside {name!r}, at {format_point(points_m[index])} m{at}. "
-            f"Move it into free space, or, where that is a room, say rooms = [{name!r}] in the scene's TOML."
+            f"{what} {index} is inside {name!r}, at {format_point(points_m[index])} m{at}. "
+            f"Move it into free space, or, if that is a room, write rooms = [{name!r}] into the scene's TOML."
         )
     _check_distance(distance_to_surfaces(meshes, points_m), points_m, what, "a surface", carrier_hz)
 

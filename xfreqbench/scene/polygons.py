@@ -74,8 +74,8 @@ def flat_polygon(corners_m: Float[FloatArray, "n 3"]) -> tuple[Float[FloatArray,
     height_m -= (height_m.min() + height_m.max()) / 2
     if height_m.max() > OFF_PLANE_M:
         raise ValueError(
-            f"is not flat: a corner lies {height_m.max() * 1e3:.3g} mm off its plane, and {OFF_PLANE_M * 1e3:g} mm is "
-            "the most; cut it into triangles"
+            f"is not flat: a corner is {height_m.max() * 1e3:.3g} mm off its plane, and at most "
+            f"{OFF_PLANE_M * 1e3:g} mm are allowed; cut it into triangles"
         )
     flat_m = corners_m - height_m[:, None] * normal
     ears = None if _crosses_itself(np.delete(away_m, np.abs(normal).argmax(), axis=1)) else _ears(flat_m, normal)
@@ -101,7 +101,7 @@ def extents_m(points_m: Float[FloatArray, "n 3"]) -> Float[FloatArray, "3"]:
 
 
 def is_flat(points_m: Float[FloatArray, "n 3"], share: float = 1e-3) -> bool:
-    """Whether points lie within a share of their extent of one plane, however it is turned."""
+    """Whether points are within a share of their extent of one plane, of any orientation."""
     extent_m = extents_m(points_m)
     return bool(extent_m[0] <= share * extent_m.max())
 
@@ -109,7 +109,7 @@ def is_flat(points_m: Float[FloatArray, "n 3"], share: float = 1e-3) -> bool:
 def _ears(ring_m: Float[FloatArray, "n 3"], normal: Float[FloatArray, "3"]) -> Int[IntArray, "t 3"] | None:
     """Corners of the n − 2 triangles of a polygon, which may touch itself as slits do, or None if it crosses itself.
 
-    Triangles that use each side once, and of which none faces the other way, cover any polygon once.
+    Triangles that use each side once, and all face the same way, cover any polygon once.
     """
     if len(ring_m) > MAX_CORNERS:
         raise ValueError(f"a concave face has {len(ring_m):,} corners; export the mesh as triangles")
@@ -126,7 +126,7 @@ def _ears(ring_m: Float[FloatArray, "n 3"], normal: Float[FloatArray, "3"]) -> I
         candidates = np.flatnonzero(area_m2 > flat_m2)
         empty = (k for depth_m2 in (-flat_m2, flat_m2) for k in candidates if _is_empty(x, y, ear[k], left, depth_m2))
         chosen = next(empty, None)
-        if chosen is None:  # but for corners on straight sides and at the ends of slits
+        if chosen is None:  # except for corners on straight sides and at the ends of slits
             chosen = np.abs(area_m2).argmin()
             if abs(area_m2[chosen]) > flat_m2:
                 return None
@@ -147,7 +147,7 @@ def _is_empty(
     left: Int[IntArray, "r"],
     depth_m2: float,
 ) -> bool:
-    """Whether no corner that is left stands deeper in a triangle; below 0, none stands on its sides either."""
+    """Whether no remaining corner is deeper in a triangle; below 0, none is on its sides either."""
     inside = np.ones(len(left), bool)
     for here, there in zip(ear, np.roll(ear, -1), strict=True):
         side = (x[there] - x[here]) * (y[left] - y[here]) - (y[there] - y[here]) * (x[left] - x[here])

@@ -14,16 +14,16 @@ from xfreqbench.scene.model import Scene
 from xfreqbench.scene.visibility import enclosing_mesh, fibonacci_sphere, is_closed, sees
 from xfreqbench.types import FloatArray
 
-OUTSIDE_M = 0.3  # by which window sills and frames may stand out of a room
+OUTSIDE_M = 0.3  # by which window sills and frames may extend out of a room
 NUM_RAYS = 10_000  # that look for the way out of a room
 
 
 def objects_of(scene: Scene, meshes: Sequence[SurfaceMesh]) -> list[SurfaceMesh]:
-    """The meshes that are not rooms, in which nothing can stand.
+    """The meshes that are not rooms, in which nothing can be.
 
-    Rooms are the meshes that `scene.rooms` names. Without names, a closed mesh is a room where the receiver stands
-    in it, and nothing else of the scene stands out of its bounding box by more than `OUTSIDE_M`: a cabinet is not,
-    because the walls stand out of it. Raises `UnknownNameError` and `SceneError` for names of no closed mesh.
+    Rooms are the meshes that `scene.rooms` names. Without names, a closed mesh is a room if the receiver is in it, and
+    nothing else of the scene extends out of its bounding box by more than `OUTSIDE_M`: a cabinet is not, because the
+    walls extend out of it. Raises `UnknownNameError` and `SceneError` for names of no closed mesh.
     """
     if not meshes:
         return []
@@ -43,7 +43,7 @@ def objects_of(scene: Scene, meshes: Sequence[SurfaceMesh]) -> list[SurfaceMesh]
     for mesh in meshes:
         if mesh.name in scene.rooms and not is_closed(mesh):
             raise SceneError(
-                f"The scene names {mesh.name!r} as a room, but some of its edges belong to one face only, so that it "
+                f"The scene names {mesh.name!r} as a room, but some of its edges belong to only one face, so it "
                 "has no inside. Close it, or leave it out of rooms."
             )
     return [mesh for mesh in meshes if mesh.name not in scene.rooms]
@@ -66,10 +66,10 @@ def _encloses(mesh: SurfaceMesh, point_m: Float[FloatArray, "3"]) -> bool:
 
 
 def check_closed(scene: Scene, meshes: Sequence[SurfaceMesh]) -> None:
-    """Raise `PlacementError` where a scene promises that it is closed, but there is a way out.
+    """Raise `PlacementError` if a scene promises that it is closed, but there is a way out.
 
-    A closed mesh about the receiver has none. Else `NUM_RAYS` rays from the receiver look for one, and the first that
-    meets nothing is named.
+    A closed mesh about the receiver has none. Otherwise `NUM_RAYS` rays from the receiver look for one, and the first
+    that meets nothing is named.
     """
     receiver_m = np.asarray(scene.receiver.position_m)
     if not scene.closed or any(_encloses(mesh, receiver_m) for mesh in meshes):

@@ -27,7 +27,7 @@ _ADVICE = (
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """The texts of a table by column, all names empty where it has none, and the numbers of the lines in the file."""
+    """The texts of a table by column, all names empty if it has none, and the numbers of the lines in the file."""
 
     path: Path
     names: list[str]
@@ -44,7 +44,7 @@ class Table:
     def axes(self, wanted: str = "xyz") -> list[int]:
         """The columns of x, y and z by their names, or where they have none the three that hold numbers.
 
-        Raises `DataError` where one has no column or several, and without names where the first may be an index.
+        Raises `DataError` if one has no column or several, and without names where the first may be an index.
         """
         if any(self.names):
             axes = _axes(self.names, _NAME)
@@ -76,7 +76,7 @@ class Table:
                 raise DataError(
                     f"{self.path}, line {line}, has {text!r} in column {self.names[column] or column + 1}, which is "
                     f"not a finite number with a decimal point, up to {FAR_M:g}. "
-                    f"{'Leave the cell empty where nothing was measured.' if missing else _ADVICE}"
+                    f"{'Leave the cell empty if nothing was measured.' if missing else _ADVICE}"
                 ) from error
         return np.array(found)
 
@@ -84,8 +84,8 @@ class Table:
 def read_table(path: Path) -> Table:
     """A table in a text file with one position a line, and perhaps what was measured there.
 
-    Columns are separated by semicolons, tabs, commas or blanks: the first of these that stands in the first line. A
-    first line of names, after `#` or not, tells which columns are x, y and z, in any order and among others. Without it
+    Columns are separated by semicolons, tabs, commas or blanks: the first of these that is in the first line. A
+    first line of names, after `#` or not, says which columns are x, y and z, in any order and among others. Without it
     there are three columns of numbers; others may hold words. Lines of nothing but separators, and what follows `#`,
     are left out. Raises `DataError` that names the line where one has more or fewer cells, as of decimal commas.
     """
@@ -114,7 +114,7 @@ def read_table(path: Path) -> Table:
             counts = f"{len(cells)} cells for {len(names)} columns"
             raise DataError(f"{path}, line {number}, is {lines[number]!r}, {counts}. {_ADVICE}")
     if not rows:
-        raise DataError(f"{path} holds no position. {_ADVICE}")
+        raise DataError(f"{path} has no position. {_ADVICE}")
     return Table(path, names, list(zip(*rows.values(), strict=True)), list(rows))
 
 

@@ -73,7 +73,7 @@ def toml_content(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except RecursionError as error:
-        raise SceneError("this is not TOML that can be read: it is nested too deeply") from error
+        raise SceneError("this TOML cannot be read: it is nested too deeply") from error
     except ValueError as error:  # not TOML, or numbers of thousands of digits
         raise SceneError(f"this is not TOML: {error}") from error
 
@@ -98,7 +98,7 @@ def _place(*location: int | str) -> str:
 
 
 def _fault_words(kind: type, fault: Any) -> str:
-    """What Pydantic finds wrong, in words; of an unknown key the nearest one, and all that may stand in its place."""
+    """What Pydantic finds wrong, in words; for an unknown key the nearest one, and all keys that are possible there."""
     if fault["type"] not in ("unexpected_keyword_argument", "extra_forbidden"):
         return str(fault["msg"]).removeprefix("Value error, ")
     *tables, key = fault["loc"]

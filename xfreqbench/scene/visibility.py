@@ -14,7 +14,7 @@ from xfreqbench.types import FloatArray, IntArray, NDArray
 
 
 def distance_to_surfaces(meshes: Sequence[SurfaceMesh], points_m: Float[FloatArray, "N 3"]) -> Float[FloatArray, "N"]:
-    """Distance in metres from each of N points to the nearest triangle; infinite where there are no triangles."""
+    """Distance in metres from each of N points to the nearest triangle; infinite if there are no triangles."""
     from xfreqbench.scene import visibility_kernels
 
     corners_m = np.ascontiguousarray(triangle_corners_m(meshes))

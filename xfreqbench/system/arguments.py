@@ -126,7 +126,7 @@ def _words(function: Callable[..., Any], error: ValidationError) -> str:
         hint = f" Did you mean {nearest[0]}?" if nearest else ""
         return f"{function.__name__} takes no {name!r}.{hint} It takes {', '.join(names)}."
     if first["type"] == "unexpected_positional_argument":
-        return f"{function.__name__} takes {name} by its name alone: write {name}={reprlib.repr(first['input'])}."
+        return f"{function.__name__} takes {name} only by its name: write {name}={reprlib.repr(first['input'])}."
     reasons = dict.fromkeys(
         fault["msg"].removeprefix("Value error, ") for fault in faults if fault["loc"][0] == first["loc"][0]
     )
@@ -137,7 +137,7 @@ def _words(function: Callable[..., Any], error: ValidationError) -> str:
 
 
 def listed(given: Any) -> Any:
-    """One number, text or class as a list of one, an array as a list, and anything else as it is."""
+    """One number, text or class as a list of one, an array as a list, and any other value unchanged."""
     if hasattr(given, "tolist"):
         given = given.tolist()
     return [given] if isinstance(given, int | float | str | type) else given

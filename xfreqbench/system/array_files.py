@@ -38,8 +38,8 @@ def read_arrays(
 
     A kind is `real`, `text` or NumPy's name of a type, and then the array is in the order of C. An axis is a number or
     a name: axes of one name are as long as `sizes` says, or as the first of them, which is written there. `digest` is
-    updated with the bytes of the file. Raises `DataError`, with `advice`, for whatever differs from that, and for files
-    that are missing, damaged or hold objects, and `StorageError` where the system cannot read them into memory.
+    updated with the bytes of the file. Raises `DataError`, with `advice`, for any difference, and for files that are
+    missing, damaged or hold objects, and `StorageError` if the system cannot read them into memory.
     """
     try:
         content = read_bytes(path)
@@ -67,7 +67,7 @@ def read_arrays(
 def unpacked(path: Path, content: bytes, names: Iterable[str] | None, advice: str) -> dict[str, NDArray[Any]]:
     """Arrays in the bytes of a file by name, all of them or those asked for, of any kind but objects.
 
-    Raises `DataError` with the file's name and `advice`, and `StorageError` where memory does not hold them.
+    Raises `DataError` with the file's name and `advice`, and `StorageError` if memory does not hold them.
     """
     if content.startswith(_MATLAB_7_3):
         advice = "Save it again as version 7: save(FILE, VARIABLES, '-v7')."

@@ -38,7 +38,7 @@ class _Bars:
         return bool(self._progress.console.is_interactive)
 
     def show(self, stage: int, done: float, total: float | None, state: str, title: str | None = None) -> None:
-        """Show a stage at `done` of `total`, None where nobody knows; `state` says the same in words.
+        """Show a stage at `done` of `total`, None if nobody knows; `state` says the same in words.
 
         A new `title` starts its time again.
         """

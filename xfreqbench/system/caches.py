@@ -20,7 +20,7 @@ def settle_caches() -> None:
     """
     if all(map(_is_writable, _home_folders())):
         return
-    # Numba keeps what it compiles beside its source where it can
+    # Numba keeps what it compiles next to its source if it can
     sound = {"NUMBA_CACHE_DIR"} if all(map(_is_writable, (_PACKAGE, _PACKAGE / "scene"))) else set()
     sound |= {name for name in _VARIABLES if name in os.environ and _is_writable(Path(os.environ[name]).absolute())}
     missing = _VARIABLES.keys() - sound
@@ -59,10 +59,10 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _own_folder() -> Path | None:
-    """The folder that this user's processes share; None where it is, or may be, another's: code is loaded from it."""
+    """The folder that this user's processes share; None if it is, or may be, another's: code is loaded from it."""
     try:
         folder = Path(tempfile.gettempdir()) / f"xfreqbench-{os.getuid()}"
-        if folder.parent == Path.cwd():  # where nothing else can be written
+        if folder.parent == Path.cwd():  # if nothing else can be written
             return None
         folder.mkdir(mode=0o700, exist_ok=True)
         found = folder.lstat()
@@ -73,7 +73,7 @@ def _own_folder() -> Path | None:
 
 
 def _passing_folder() -> Path | None:
-    """A folder that goes with this process; None where there is no place for one."""
+    """A folder that goes with this process; None if there is no place for one."""
     import atexit
     import shutil
 
@@ -81,8 +81,8 @@ def _passing_folder() -> Path | None:
     try:
         folder = Path(tempfile.mkdtemp(prefix="xfreqbench-"))
     except OSError as error:
-        print(f"xfreqbench: there is no folder for what is compiled: {error.strerror}. {advice}", file=sys.stderr)
+        print(f"xfreqbench: there is no folder for compiled code: {error.strerror}. {advice}", file=sys.stderr)
         return None
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    print(f"xfreqbench: there is no folder to keep what is compiled; it is compiled anew. {advice}", file=sys.stderr)
+    print(f"xfreqbench: compiled code cannot be kept; it is compiled each time. {advice}", file=sys.stderr)
     return folder

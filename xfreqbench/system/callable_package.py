@@ -15,8 +15,8 @@ from types import ModuleType
 class CallablePackage(ModuleType):
     """The type of such a package: `sys.modules[__name__].__class__ = CallablePackage`.
 
-    `NAMES` in the package is the `module:function` that gives the names. It is a text, so that whoever imports a
-    module of the package does not depend on that function.
+    `NAMES` in the package is the `module:function` that gives the names. It is a text, so that importing a module of
+    the package does not import that function.
     """
 
     NAMES: str

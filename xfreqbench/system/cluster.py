@@ -195,7 +195,7 @@ def _require_workers(client: Any, address: str) -> None:
     if several:
         raise ClusterError(
             f"{len(several)} workers of {address} make several calls at a time ({several[0]}), which the solvers "
-            "are not made for. Start them with --nthreads 1, and --nworkers for as many as there are cores."
+            "do not support. Start them with --nthreads 1, and --nworkers for as many as there are cores."
         )
 
 
@@ -210,7 +210,7 @@ def _call_alike(sent: bytes, drivers: Mapping[str, str]) -> Any:
 
 @contextmanager
 def _losses_in_words(address: str) -> Iterator[None]:
-    """Turn whatever a client raises when its scheduler has ended into a `ClusterError`."""
+    """Turn any error of a client whose scheduler has ended into a `ClusterError`."""
     from distributed.client import ClosedClientError
 
     try:
@@ -221,8 +221,8 @@ def _losses_in_words(address: str) -> Iterator[None]:
 
 def _gone(address: str) -> ClusterError:
     return ClusterError(
-        f"The scheduler at {address} has gone, and what its workers were at. Start it again; the same command goes "
-        "on where it stopped."
+        f"The scheduler at {address} has gone, and so has the work of its workers. Start it again; the same "
+        "command continues where it stopped."
     )
 
 

@@ -1,4 +1,4 @@
-"""Writing files: whole or not at all, never over what somebody else wrote, and with one wording of a full disk."""
+"""Writing files: complete or not at all, never over files of others, and with one error for a full disk."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _LONGEST_WAIT_S = 60.0  # for what takes others a moment, unless they have been 
 
 @contextmanager
 def atomic_path(target: Path, num_bytes: int = 0, is_claimed: bool = False) -> Iterator[Path]:
-    """Yield a temporary path beside `target`, which is renamed to `target` if the block ends without an exception.
+    """Yield a temporary path next to `target`, which is renamed to `target` if the block ends without an exception.
 
     The folder of `target` is made if it is missing, and `num_bytes` of free space are checked first. After an
     exception the temporary file is removed and `target` is as it was. A killed process leaves hidden files
     `.NAME.HOST-PID.partial` and `.NAME.lock`, which the next writer of the same file removes. Raises what `sole_writer`
-    raises, unless the caller has claimed the folder for itself, and `OutputExistsError` where somebody else has written
+    raises, unless the caller has claimed the folder for itself, and `OutputExistsError` if somebody else has written
     `target` since `require_own` looked at it, or since the block began. Theirs stays.
     """
     with nullcontext() if is_claimed else sole_writer(target):
@@ -64,11 +64,11 @@ _looked_at: dict[Path, tuple[int, ...] | None] = {}
 
 
 def _require_unchanged(target: Path, before: tuple[int, ...] | None) -> None:
-    """Raise `OutputExistsError` where `target` is there, and not in the state that it had before."""
+    """Raise `OutputExistsError` if `target` is there, and not in the state that it had before."""
     if _state(target) not in (before, None):
         raise OutputExistsError(
-            f"{target} was written by another process in the meantime, and stays as that one left it. Choose another "
-            "path for the output, or delete this one and do the same again."
+            f"{target} was written by another process in the meantime, and is not overwritten. Choose another "
+            "path for the output, or delete this one and try again."
         )
 
 
@@ -82,7 +82,7 @@ def _state(path: Path) -> tuple[int, ...] | None:
 
 
 def _partial(target: Path) -> Path:
-    """The hidden path beside `target` under which this process, on this machine, writes it."""
+    """The hidden path next to `target` where this process, on this machine, writes it."""
     return target.with_name(f".{target.name}.{platform.node()}-{os.getpid()}.partial")
 
 
@@ -106,7 +106,7 @@ def remove(path: Path) -> None:
 
 @contextmanager
 def atomic_folder(target: Path) -> Iterator[Path]:
-    """Yield a temporary folder beside `target`, which is renamed to `target` if the block ends without an exception.
+    """Yield a temporary folder next to `target`, which is renamed to `target` if the block ends without an exception.
 
     Raises `OutputExistsError` unless `target` is absent or an empty folder, and `StorageError`. A killed process
     leaves a hidden folder `.NAME.HOST-PID.partial`, which the next writer of the same folder removes.
@@ -134,10 +134,10 @@ def require_own(
     fault_of: Callable[[Path], str | None],
     advice: str = "Choose another path for the output, or delete this one.",
 ) -> bool:
-    """Decide whether a command may write to `path`: True where its own earlier output lies there, False where nothing.
+    """Decide whether a command may write to `path`: True if its own earlier output is there, False if nothing is.
 
-    This is the only place that makes the decision. `fault_of(path)` reads the file and returns None where the
-    command may replace it or leave it as it is; otherwise it returns words that go on after "PATH exists and".
+    This is the only place that makes the decision. `fault_of(path)` reads the file and returns None if the
+    command may replace it or leave it as it is; otherwise it returns words that follow "PATH exists and".
     Raises `OutputExistsError` with those words and `advice`, and `StorageError` for what is not a regular file
     or cannot be read. What appears at the path after this look is not replaced, see `atomic_path`.
     """
@@ -161,12 +161,12 @@ def require_empty(folder: Path) -> None:
             require_name(folder)
         elif not folder.is_dir() or any(folder.iterdir()):
             raise OutputExistsError(
-                f"{folder} exists and is no empty folder; nothing is written over it. Choose another, or empty it."
+                f"{folder} exists and is not an empty folder; nothing is written over it. Choose another, or empty it."
             )
 
 
 def write_text(target: Path, text: str) -> None:
-    """Write a text file atomically, with names of files that are no UTF-8 escaped; raises `StorageError`."""
+    """Write a text file atomically, with names of files that are not UTF-8 escaped; raises `StorageError`."""
     content = text.encode(errors="backslashreplace")
     with atomic_path(target, len(content)) as temporary, storage_errors(target, len(content)):
         temporary.write_bytes(content)
@@ -175,7 +175,7 @@ def write_text(target: Path, text: str) -> None:
 def write_columns(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:
     """Write columns, by name, as CSV. A text that a spreadsheet would compute as a formula gets an apostrophe first.
 
-    Names of files that are no UTF-8 are escaped. Raises `OSError`.
+    Names of files that are not UTF-8 are escaped. Raises `OSError`.
     """
     with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -230,7 +230,7 @@ def system_errors(path: Path) -> Iterator[None]:
 
 
 def require_name(target: Path) -> None:
-    """Raise `StorageError` where the name of a new output is too long for what is beside it while it is written."""
+    """Raise `StorageError` if the name of a new output is too long for the files next to it while it is written."""
     names = _partial(target), target.with_name(f".{target.name}.parts.01234567.removed")
     longest = max(names, key=lambda path: len(os.fsencode(path.name)))
     with storage_errors(target):
@@ -243,24 +243,24 @@ def require_name(target: Path) -> None:
             surplus = len(os.fsencode(kept)) - limit
             if surplus > 0:
                 raise StorageError(
-                    f"{given} has {len(os.fsencode(given))} bytes, {surplus} more than can be written there: what is "
-                    "kept beside it meanwhile has longer names. Choose a shorter name or another place."
+                    f"{given} has {len(os.fsencode(given))} bytes, {surplus} too many: temporary files next to it "
+                    "have longer names. Choose a shorter name or another place."
                 )
 
 
 def require_text(given: str | Path, use: str = "a record") -> str:
-    """A path or another text as it is stored; raises `StorageError` for bytes that are no UTF-8."""
+    """A path or another text as it is stored; raises `StorageError` for bytes that are not UTF-8."""
     try:
         str(given).encode()
     except UnicodeEncodeError as error:
         raise StorageError(
-            f"{str(given)!r} is no UTF-8, and {use} cannot hold it. Rename it, in letters of UTF-8."
+            f"{str(given)!r} is not UTF-8, and {use} cannot hold it. Rename it, in letters of UTF-8."
         ) from error
     return str(given)
 
 
 def require_space(target: Path, num_bytes: int) -> None:
-    """Make the folder of a file; raises `StorageError` if there is no room or no permission for `num_bytes` in it."""
+    """Make the folder of a file; raises `StorageError` if there is no space or no permission for `num_bytes` in it."""
     with storage_errors(target, num_bytes):
         target.parent.mkdir(parents=True, exist_ok=True)
         free_bytes = shutil.disk_usage(target.parent).free
@@ -327,8 +327,8 @@ def sole_worker(lock: Path, output: Path) -> Iterator[str]:
             if error.errno not in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK):
                 raise
             raise StorageError(
-                f"The file system of {lock.parent} has no locks (flock: {error.strerror}), so that two processes could "
-                "write one output. Choose a folder on another one, or have it mounted with locks (Lustre: -o flock)."
+                f"The file system of {lock.parent} has no locks (flock: {error.strerror}), so two processes could "
+                "write the same output. Choose a folder on another one, or mount it with locks (Lustre: -o flock)."
             ) from error
         since = now().isoformat(" ", "seconds")
         holder = f"process {os.getpid()} on {platform.node()}, since {since}"
@@ -340,14 +340,14 @@ def sole_worker(lock: Path, output: Path) -> Iterator[str]:
         yield holder
     finally:
         if is_first:
-            lock.unlink(missing_ok=True)  # while it is held: a process that waits for it notices, and makes it anew
+            lock.unlink(missing_ok=True)  # while it is held: a process that waits for it notices, and makes it again
         held.release()
 
 
 def sole_writer(output: Path) -> AbstractContextManager[object]:
-    """Hold the one lock of an output, `.NAME.lock` beside it, during the block; see `sole_worker`.
+    """Hold the one lock of an output, `.NAME.lock` next to it, during the block; see `sole_worker`.
 
-    Whoever works long between the look at an output and its writing holds it from before that look.
+    Code that works long between checking an output and writing it holds the lock from before the check.
     """
     return sole_worker(output.with_name(f".{output.name}.lock"), output)
 
@@ -362,7 +362,7 @@ def require_regular(path: Path, most_bytes: float = math.inf) -> Path:
     if not (stat.S_ISREG(state.st_mode) or stat.S_ISDIR(state.st_mode)):
         raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
     if state.st_size > most_bytes:
-        raise OSError(errno.EFBIG, f"it has {state.st_size:,} bytes, and {most_bytes:,} are the most", str(path))
+        raise OSError(errno.EFBIG, f"it has {state.st_size:,} bytes, and at most {most_bytes:,} are allowed", str(path))
     return path
 
 
@@ -383,5 +383,5 @@ def read_bytes(path: Path) -> bytes:
 
 
 def json_sha256(content: Any) -> str:
-    """Hash of what JSON can hold, whatever the order of keys."""
+    """Hash of a value that JSON can hold; the order of keys does not matter."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

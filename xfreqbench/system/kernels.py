@@ -1,4 +1,4 @@
-"""Kernels that Numba compiles, in a process beside those that use them: all of these run what its cache holds.
+"""Kernels that Numba compiles, in a separate process from those that use them: all of these run what its cache holds.
 
 Numba optimises a kernel for the process that compiles it, and once more, with all that it calls, for the cache. Sums
 in the two may be in another order, so a process that ran what it compiled itself would compute other last digits than
@@ -40,8 +40,8 @@ def entry(sources: str | None = None, **options: Any) -> Callable[[Kernel], Kern
     """Compile a kernel that Python calls, by `options` of `numba.njit`, and keep it in Numba's cache.
 
     Kernels that it calls are `numba.njit` without a cache: code from the cache is called, not made part of the
-    kernel, and then rounds otherwise. It is compiled anew where the file that it stands in has changed, or, if
-    `sources` is given, where that has. Raises `XFreqBenchError` where no folder of a cache can be written.
+    kernel, and then rounds otherwise. It is compiled again if its file has changed, or, if `sources` is
+    given, if that has. Raises `XFreqBenchError` if no folder of a cache can be written.
     """
 
     def compiled(function: Kernel) -> Kernel:
@@ -66,7 +66,7 @@ class _Cache(FunctionCache):
     """Numba's cache, which has another process compile what it lacks."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled kernel for types of arguments; None where this process has to compile it."""
+        """The compiled kernel for types of arguments; None if this process has to compile it."""
         found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         if found is None and _compile_beside(self._py_func.__module__, self._py_func.__name__, sig):
             found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
@@ -76,7 +76,7 @@ class _Cache(FunctionCache):
 def _compile_beside(module: str, name: str, sig: Any) -> bool:
     """Have this process's compiler compile a kernel for types of arguments; return whether it did.
 
-    Raises `MemoryError` where the compiler is killed, or aborts as LLVM does without memory: so would this process.
+    Raises `MemoryError` if the compiler is killed, or aborts as LLVM does without memory: so would this process.
     """
     if _IS_COMPILER in os.environ:
         return False

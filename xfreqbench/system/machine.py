@@ -29,15 +29,15 @@ _LIBRARIES = ("xfreqbench", "numpy", "scipy", "scikit-image", "h5py", "torch", "
 
 
 def require_working_folder() -> None:
-    """Raise `XFreqBenchError` where the working folder has been removed, which libraries end the process for."""
+    """Raise `XFreqBenchError` if the working folder has been removed, which libraries end the process for."""
     try:
         Path.cwd()
     except FileNotFoundError as error:
-        raise XFreqBenchError("The working folder has been removed. Change into one that is there.") from error
+        raise XFreqBenchError("The working folder has been removed. Change into another one.") from error
 
 
 def now() -> datetime:
-    """This moment, in the time zone of the machine; raises `XFreqBenchError` where its clock is past the year 9999."""
+    """This moment, in the time zone of the machine; raises `XFreqBenchError` if its clock is past the year 9999."""
     try:
         return datetime.now().astimezone()
     except (ValueError, OverflowError) as error:
@@ -45,7 +45,7 @@ def now() -> datetime:
 
 
 def require_thread_count() -> None:
-    """Raise `XFreqBenchError` where the environment asks Numba for a number of threads that cannot be."""
+    """Raise `XFreqBenchError` if the environment asks Numba for a number of threads that cannot be."""
     asked = os.environ.get(_THREADS, "1")
     if not (asked.isdecimal() and len(asked) < 9 and 1 <= int(asked) <= _MOST_THREADS):
         raise XFreqBenchError(
@@ -115,7 +115,7 @@ def peak_memory_mib() -> float:
 
 
 def available_memory_mib(processes: int = 1) -> float:
-    """Memory in MiB that this process can still take without the system swapping; infinite where nothing tells.
+    """Memory in MiB that this process can still take without the system swapping; infinite if it is not known.
 
     On Linux it is the least that the system, control groups (of a container or a batch job) and `ulimit` leave. For
     several processes that will be started, it is what the first two leave for each.
@@ -155,9 +155,9 @@ def lacks_memory(error: BaseException) -> bool:
 
 
 def require_memory(least_mib: float, who: str, processes: int = 1) -> None:
-    """Raise `OutOfMemoryError` where `who`, one or each of some processes, takes more memory than is left for it."""
+    """Raise `OutOfMemoryError` if `who`, one or each of some processes, takes more memory than is left for it."""
     if least_mib > available_memory_mib(processes):
-        raise OutOfMemoryError(f"{who} takes {least_mib:,.0f} MiB of memory at least. {memory_left(processes)}")
+        raise OutOfMemoryError(f"{who} needs at least {least_mib:,.0f} MiB of memory. {memory_left(processes)}")
 
 
 def memory_left(processes: int = 1) -> str:

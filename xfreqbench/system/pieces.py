@@ -16,13 +16,14 @@ from xfreqbench.types import NDArray
 
 
 class Pieces:
-    """The pieces of one work in a folder, by their numbers; `key` is the hash of whatever determines them.
+    """The pieces of one work in a folder, by their numbers; `key` is the hash of everything that determines them.
 
     `kept` are the numbers of those that were there at the beginning, from processes before this one.
 
     A file's name has the number of the piece, the key and the sha256 of its bytes, and these bytes hold number and key
-    once more. It is written under another name, synced and renamed. One that has its sha256 and its key is therefore a
-    whole piece of this very work, whoever wrote it; one that is cut short, damaged or of another work is not there.
+    once more. It is written under another name, synced and renamed. One with the right sha256 and key is therefore a
+    complete piece of this very work, whatever process wrote it; one that is cut short, damaged or of another work is
+    not there.
     """
 
     def __init__(self, folder: Path, key: str) -> None:
@@ -46,14 +47,14 @@ class Pieces:
         self._paths[number] = path
 
     def get(self, number: int) -> dict[str, NDArray[Any]]:
-        """The arrays of a piece; raises `StorageError` where it is there no longer, or was changed."""
+        """The arrays of a piece; raises `StorageError` if it is there no longer, or was changed."""
         arrays = self._arrays(self._paths[number])
         if arrays is None:
-            raise StorageError(f"Piece {number} has gone from {self.folder}. Run the same command again.")
+            raise StorageError(f"Piece {number} is missing in {self.folder}. Run the same command again.")
         return arrays
 
     def _arrays(self, path: Path) -> dict[str, NDArray[Any]] | None:
-        """The arrays in a file; None where it is no whole piece of this work. Links are not followed."""
+        """The arrays in a file; None if it is not a complete piece of this work. Links are not followed."""
         if path.is_symlink() or not path.is_file():
             return None
         content = path.read_bytes()

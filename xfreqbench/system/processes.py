@@ -91,10 +91,10 @@ def split_cores(num_places: int) -> list[Cores]:
 class LocalProcesses(Workers):
     """Processes of this machine, each kept to the cores of its place; a context manager.
 
-    They end with this process, however it ends. With `is_fresh` every call is made in a new process, so that
-    whatever is timed has equal conditions. `imports` names modules that calls will import anyway: where the system can,
-    processes are forked off one that has imported them and did nothing else. `on_message` is called in a
-    thread of this process, with the arguments of each `send_message` of the others.
+    They end with this process, however it ends. With `is_fresh` every call is made in a new process, so that timings
+    have equal conditions. `imports` names modules that calls will import anyway: if the system can, processes are
+    forked from one that has imported them and did nothing else. `on_message` is called in a thread of this process,
+    with the arguments of each `send_message` of the others.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class LocalProcesses(Workers):
         died = ""
         for _ in range(MAX_DEATHS):
             if self._is_ending.is_set():
-                raise ClusterError("The call was ended with those beside it.")
+                raise ClusterError("The call was ended together with others.")
             with suppress(BrokenProcessPool):
                 return place.submit(call).result()
             status = place.close()
@@ -170,7 +170,7 @@ class _Place:
 
     context: BaseContext
     settle: Callable[[Mapping[str, str], Connection | None], None]
-    is_first: bool  # which alone announces compilation
+    is_first: bool  # only this process announces compilation
     on_message: Callable[..., object] | None = None
     _process: ProcessPoolExecutor | None = None
     _listener: threading.Thread | None = None
@@ -192,7 +192,7 @@ class _Place:
         return made
 
     def kill(self) -> None:
-        """End the process, whatever it does: what it called may have left a thread, or ignore signals."""
+        """End the process in any state: what it called may have left a thread, or ignore signals."""
         for process in self._processes:
             process.kill()
 
@@ -216,9 +216,9 @@ _forks: tuple[int, tuple[str, ...]] | None = None  # cores of each fork, and wha
 
 
 def _forking(places: Sequence[Cores], imports: tuple[str, ...]) -> BaseContext | None:
-    """A context whose processes start with `imports` made, forked off a process that has no threads; None where not.
+    """A context whose processes start with `imports` made, forked off a process that has no threads; None if not.
 
-    Libraries settle at their import how many threads they use. So the first call makes the process that is forked, with
+    Libraries decide at their import how many threads they use. So the first call makes the process that is forked, with
     as many cores as a place has, and later calls for other places or imports get None.
     """
     global _forks

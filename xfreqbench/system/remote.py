@@ -1,4 +1,4 @@
-"""Files on web servers, of which only the bytes that are asked for are read.
+"""Files on web servers; only the bytes that are asked for are read.
 
 They are read by remfile, in the thread that asks. fsspec, which asks in a thread of its own, waits forever where the
 garbage collector frees an object of HDF5 in that thread: HDF5 is locked by the one that waits for it.
@@ -29,13 +29,13 @@ class RemotePath(PosixPath):
     def ranges(self) -> Any:
         """The file, opened to read, which asks the server for ranges of bytes; the same one at each call.
 
-        What was read is kept in memory, up to 1 GB. Raises `DataError` where there is no such file, and
-        `XFreqBenchError` where the extra is not installed.
+        What was read is kept in memory, up to 1 GB. Raises `DataError` if there is no such file, and `XFreqBenchError`
+        if the extra is not installed.
         """
         return _opened(str(self), os.getpid())
 
     def read_bytes(self) -> bytes:
-        """All bytes of the file; raises as `ranges`, and `DataError` where the server fails, or has too many."""
+        """All bytes of the file; raises as `ranges`, and `DataError` if the server fails, or has too many."""
         file = self.ranges()
         try:
             if file.length > MOST_BYTES:
@@ -53,13 +53,13 @@ def located(path: str | Path) -> Path:
 
 
 @lru_cache(maxsize=8)
-def _opened(address: str, process: int) -> Any:  # a forked process opens it anew, for connections are not shared
+def _opened(address: str, process: int) -> Any:  # a forked process opens it again, because connections are not shared
     try:
         import remfile
         import requests
     except ImportError as error:
         advice = 'Run: pip install "xfreqbench[remote]"'
-        raise XFreqBenchError(f'Reading from afar needs the extra "remote". {advice}') from error
+        raise XFreqBenchError(f'Reading from a server needs the extra "remote". {advice}') from error
     try:
         with requests.get(address, headers={"Range": "bytes=0-0"}, stream=True, timeout=30.0) as answer:
             answer.raise_for_status()
@@ -68,4 +68,4 @@ def _opened(address: str, process: int) -> Any:  # a forked process opens it ane
             return remfile.File(address)
     except Exception as error:  # remfile's have no other type
         raise DataError(f"{address} cannot be opened: {error}. Correct the address, or try again later.") from error
-    raise DataError(f"The server of {address} gives no parts of files. Download it: xfreqbench.fetch({address!r})")
+    raise DataError(f"The server of {address} does not send parts of files. Download it: xfreqbench.fetch({address!r})")

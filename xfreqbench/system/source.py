@@ -11,7 +11,7 @@ from pathlib import Path
 from sysconfig import get_path
 
 PACKAGE = "xfreqbench"
-_BASELINES = f"{PACKAGE}.baselines"  # in an editable install their folder lies beside the package's
+_BASELINES = f"{PACKAGE}.baselines"  # in an editable install their folder is next to the package's
 
 
 def package_sha256() -> str:

@@ -47,8 +47,8 @@ def side_by_side(
     """Call a function with every argument, in their order, as many calls at a time as `workers` has places.
 
     Yields each argument with its finished future, in the order in which calls end. For each place, at most `ahead`
-    calls wait beside the one that is being made, so that neither arguments nor results pile up. Calls that still
-    wait when the caller stops iterating are cancelled.
+    calls wait in addition to the current one, so that neither arguments nor results pile up. Calls that still wait when
+    the caller stops iterating are cancelled.
     """
     left, running = iter(arguments), dict[Future[Result], Argument]()
     try:

@@ -133,7 +133,7 @@ def test_what_cannot_be_a_card_is_refused_and_nothing_is_written(folder: Path, t
     refused = xfreqbench("card", folder / "rooms.h5", "--license", "free", "-o", tmp_path / "card")
     assert "no licence 'free'" in refused.stderr and not list(tmp_path.iterdir())
     refused = xfreqbench("card", folder / "rooms.h5", "--license", "CC0-1.0", "-o", folder)
-    assert "no empty folder" in refused.stderr
+    assert "not an empty folder" in refused.stderr
 
 
 def test_data_of_a_scene_that_ships_name_it(tmp_path: Path) -> None:

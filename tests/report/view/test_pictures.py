@@ -126,7 +126,7 @@ def test_what_cannot_be_drawn_is_refused_before_anything_is_written(
         ({"of": "power", "tx": 1}, "leave --tx out"),
         ({"output": tmp_path / "new.gif"}, "end its name in"),
         ({"output": theirs, "of": "power"}, r"talk\.pdf exists"),
-        ({"file": imported.path, "of": "power"}, "maps alone"),
+        ({"file": imported.path, "of": "power"}, "maps without channels"),
     ):
         with pytest.raises(XFreqBenchError, match=words):
             plot(**{"file": dataset.path, "output": tmp_path / "new.png", **options})

@@ -166,7 +166,7 @@ def test_meshes_beside_the_data_are_drawn_and_others_are_not(tmp_path: Path) -> 
     assert shown.with_rays().room.rays
     write_mitsuba(surface_meshes(replace(SCENE, surface=SCENE.surface[:2])), tmp_path)
     other = plan_view(str(path), ONE_LIT_TX)
-    assert "scene.xml is missing or another" in other.missing and not other.room.meshes
+    assert "scene.xml is missing or was changed" in other.missing and not other.room.meshes
 
 
 def metres(points: list[int]) -> np.ndarray:

@@ -204,7 +204,7 @@ def test_solver_image_alone_takes_layers_and_every_layer_has_its_band() -> None:
     scene = parse_scene(SCENE)
     geometry = Geometry(surface_meshes(scene))
     assert resolve_solver(geometry, TraceSettings()).solver == "image"
-    with pytest.raises(SceneError, match="'window' has 2 layers, which solver image alone traces"):
+    with pytest.raises(SceneError, match="'window' has 2 layers, which only solver image traces"):
         make_tracer(scene, [2.4], TraceSettings(solver="sionna"))
     wall = replace(scene, surface=(replace(scene.surface[0], material="brick-wall"),))
     with pytest.raises(MaterialBandError, match="'brick' from 1 to 40 GHz"):

@@ -1,4 +1,4 @@
-"""A data set, or a collection of rooms, as a folder to hand on: README card, Croissant metadata, checksums, sample."""
+"""A data set, or a collection of rooms, as a folder to publish: README card, Croissant metadata, checksums, sample."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ from xfreqbench.units import format_ghz_list
 CARD, METADATA, SUMS = "README.md", "croissant.json", "SHA256SUMS"
 SAMPLE, ROOMS, TRANSMITTERS, SCENE, FAMILY = "sample.csv", "rooms.csv", "transmitters.csv", "scene.toml", "family.toml"
 MAPS, STATISTICS = "maps.png", "statistics.png"
-_FILES = {  # what is written beside the data, its type and what it is
-    SAMPLE: ("text/csv", "some of the samples, evenly spread: place, carrier, power"),
+_FILES = {  # the files that are added to the data: type and description
+    SAMPLE: ("text/csv", "some of the samples, evenly spread: position, carrier, power"),
     ROOMS: ("text/csv", "the rooms: seed, type, part, number of transmitters, file"),
-    FILE: ("application/json", "the collection: its family, what was asked of the rays, its rooms"),
+    FILE: ("application/json", "the collection: its family, its options, its rooms"),
     TRANSMITTERS: ("text/csv", "positions of the transmitters in metres, in the order of the data"),
     SCENE: ("application/toml", "the scene that was traced"),
     FAMILY: ("application/toml", "the family that the rooms are drawn from"),
     MAPS: ("image/png", "maps of one transmitter"),
-    STATISTICS: ("image/png", "path loss, spreads, K and mechanisms by carrier, beside standards"),
+    STATISTICS: ("image/png", "path loss, spreads, K and mechanisms by carrier, with those of standards"),
 }
 _COLUMNS = {  # of the tables: type and meaning
     "room": ("INTEGER", "seed of the room"),
@@ -54,10 +54,10 @@ _COLUMNS = {  # of the tables: type and meaning
     "y_m": ("FLOAT", "transmitter's position in the world, in metres"),
     "z_m": ("FLOAT", "transmitter's position in the world, in metres"),
     "carrier_hz": ("FLOAT", "carrier in hertz"),
-    "in_sight": ("BOOL", "whether nothing stands between transmitter and array"),
+    "in_sight": ("BOOL", "whether nothing is between transmitter and array"),
     "power_db": ("FLOAT", "received over transmitted power in dB, the mean over the array; empty without a path"),
     "type": ("TEXT", "type of the room"),
-    "part": ("TEXT", "train, validation, test, or other-type, of which no room is trained on"),
+    "part": ("TEXT", "train, validation, test, or other-type, which is never trained on"),
     "num_tx": ("INTEGER", "number of transmitters"),
     "file": ("TEXT", "data set of the room, an HDF5 file"),
 }
@@ -84,11 +84,11 @@ class _Content:
 
 
 def write_card(path: Path, folder: Path, license_id: str, tell: Callable[[str], None]) -> None:
-    """Write the card of a data set, or of a collection's folder: whole or not at all, into an absent or empty folder.
+    """Write the card of a data set, or of a collection's folder: completely or not at all, into a new or empty folder.
 
-    `license_id` is the identifier of the data's licence in the list of SPDX, in any case of letters; `tell` is told
-    what takes long. Raises `DataError` for what is no data or is damaged, `XFreqBenchError` for another licence, or
-    where mlcroissant is not installed, `OutputExistsError` and `StorageError`.
+    `license_id` is the identifier of the data's licence in the list of SPDX, in any case of letters; `tell` is called
+    before long steps. Raises `DataError` for a path without data or with damaged data, `XFreqBenchError` for another
+    licence, or if mlcroissant is not installed, `OutputExistsError` and `StorageError`.
     """
     try:
         import mlcroissant
@@ -120,7 +120,7 @@ def write_card(path: Path, folder: Path, license_id: str, tell: Callable[[str], 
 
 
 def _of_dataset(path: Path, written: Path, tell: Callable[[str], None]) -> _Content:
-    """Write what stands beside a data set, and say what it is."""
+    """Write the files that are added to a data set, and return their description."""
     dataset, name, statistics = open_dataset(path), path.with_suffix(".h5").name, None
     header = dataset.header
     with suppress(DataError, SceneError):  # of data that do not say how they were traced, or whose meshes are not here
@@ -143,14 +143,14 @@ def _of_dataset(path: Path, written: Path, tell: Callable[[str], None]) -> _Cont
         told=describe(path).replace(f"{path}: ", "", 1),
         read=f"data = xb.open_dataset({name!r})",
         commands=commands,
-        note="\nThe meshes of the scene have to be at hand.\n" if is_imported else "",
+        note="\nThis needs the meshes of the scene.\n" if is_imported else "",
         tables={SAMPLE: _sample(dataset[_spread(len(dataset))])},
         statistics=statistics,
     )
 
 
 def _of_rooms(rooms: Collection, written: Path) -> _Content:
-    """Write what stands beside the data sets of a collection, and say what it is."""
+    """Write the files that are added to the data sets of a collection, and return their description."""
     record, first = rooms.record, rooms[0]
     _draw_maps(first, written)
     parts = [
@@ -215,7 +215,7 @@ def _spdx(license_id: str) -> str:
             return found
     raise XFreqBenchError(
         f"There is no licence {license_id!r} in the list of SPDX. Name that of the data, as in CC-BY-4.0, CC0-1.0 or "
-        "LicenseRef-Ours; only who owns the data may choose it."
+        "LicenseRef-Ours; only the owner of the data may choose it."
     )
 
 
@@ -230,7 +230,7 @@ def _sha256(path: Path) -> str:
 
 
 def _metadata(mlc: Any, content: _Content, license_id: str, written: Path, sums: Mapping[str, str]) -> Any:
-    """The content of `croissant.json`; many data sets are one set of files, whose sums stand in `SHA256SUMS`."""
+    """The content of `croissant.json`; many data sets are one set of files, whose sums are in `SHA256SUMS`."""
     hdf5 = "application/x-hdf5"
     of_data = (hdf5, f"the data set {content.recipe}, an HDF5 file")
     distribution = [
@@ -284,7 +284,7 @@ def _metadata(mlc: Any, content: _Content, license_id: str, written: Path, sums:
 def _room_commands(rooms: Collection, written: Path) -> list[str]:
     """The commands that make a collection again, one for each row of seeds, and its family's TOML if it does not ship.
 
-    None where another version of the toolkit drew the rooms.
+    None if another version of the toolkit drew the rooms.
     """
     record, options, seeds = rooms.record, dict(rooms.record.options), [room.seed for room in rooms.rooms]
     if record.family.get("drawing") != DRAWING:
@@ -319,7 +319,7 @@ def _ghz(carrier_hz: Iterable[float]) -> list[str]:
 
 
 def _dataset_command(dataset: PasDataset, name: str, written: Path) -> list[str]:
-    """The command that makes a data set again, and its scene's TOML if it does not ship; none where nothing tells."""
+    """The command that makes a data set again, and its scene's TOML if it does not ship; none if they are not known."""
     try:
         settings, header = dataset.trace_settings, dataset.file_header
     except DataError:
@@ -419,7 +419,7 @@ configs:
 
 # {heading(content.title)}
 
-{literal(content.summary)} The data are in `{content.data}`, under {license_id}. Beside them:
+{literal(content.summary)} The data are in `{content.data}`, under {license_id}. Other files:
 
 {listed}
 * `{METADATA}`: the same as Croissant metadata, for search engines and loaders

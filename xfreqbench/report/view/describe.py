@@ -53,7 +53,7 @@ def describe(path: Path) -> str:
 
 
 def links_in_words(dataset: PasDataset) -> str:
-    """Receivers × polarizations of a file of several links; empty where there is one."""
+    """Receivers × polarizations of a file of several links; empty if there is one."""
     return " × ".join(", ".join(names) for names in dataset.file_header.link_names if names)
 
 
@@ -89,8 +89,8 @@ class CarrierSummary:
     """T transmitters at F carriers, and the maps of `num_compared` of them, compared at K carriers.
 
     `peak_db` is the peak of each map in dB before it was divided out, nan without a path; it and
-    `num_paths` are None where only maps were published. `in_sight` is None then too. `median_ssim` is the median SSIM
-    between the maps of one transmitter at two carriers: symmetric, 1 on the diagonal, nan where no transmitter is heard
+    `num_paths` are None if only maps were published. `in_sight` is None then too. `median_ssim` is the median SSIM
+    between the maps of one transmitter at two carriers: symmetric, 1 on the diagonal, nan if no transmitter has a path
     at both carriers.
     """
 
@@ -112,7 +112,7 @@ class CarrierSummary:
 
 
 def known_line_of_sight(dataset: PasDataset) -> Bool[NDArray[np.bool_], "T"] | None:
-    """Whether nothing stands between each transmitter and the array; None where only maps were published."""
+    """Whether nothing is between each transmitter and the array; None if only maps were published."""
     return dataset.tables["line_of_sight"].astype(bool) if dataset.header.channels else None
 
 

@@ -84,7 +84,7 @@ def plot_room(room: ShownRoom, path: Path) -> None:
 def plot_overview(
     room: ShownRoom, maps: Float[NDArray[np.float32], "F E A"], grid: AngularGrid, titles: Sequence[str], path: Path
 ) -> None:
-    """The plan of a room with the rays of one transmitter, beside its maps at up to six carriers: a PNG.
+    """The plan of a room with the rays of one transmitter, next to its maps at up to six carriers: a PNG.
 
     `maps` are linear power, one a carrier, with one title each. Raises `StorageError`.
     """
@@ -167,7 +167,7 @@ def _draw_view(axis: Any, room: ShownRoom, shown: list[int]) -> None:
     axis.add_collection(LineCollection(lines[::-1], colors=colours[::-1], linewidths=1.3, zorder=3))
     numbered = list(zip(lines, colours, strict=True))[:NUMBERED_RAYS]
     for number, (line, edge) in enumerate(numbered, start=1):
-        # at another share of its length each: labels of rays that begin and end alike stand apart
+        # at another share of its length each: labels of rays with equal ends are kept apart
         place = point_along(line, number / (len(numbered) + 1))
         style: dict[str, Any] = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": edge}
         axis.annotate(str(number), place, fontsize=7, ha="center", va="center", bbox=style, zorder=5)
@@ -228,7 +228,7 @@ def _draw_power(axis: Any, summary: CarrierSummary) -> None:
         axis.plot(carrier_ghz, middle, "o-", color=_GROUP_COLOURS[name], markersize=4, label=name)
     axis.set(xscale="log", xlabel="carrier (GHz)", ylabel="peak of the map (dB)")
     label_decades(axis)
-    axis.set_title("power: median, and what 80 % lie within", fontsize="medium")
+    axis.set_title("power: median, and range of 80 %", fontsize="medium")
     axis.grid(alpha=0.3)
     axis.legend(fontsize="small")
 

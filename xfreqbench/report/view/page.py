@@ -28,7 +28,7 @@ def view_page(
     """HTML of a view whose rays are traced; equal views give equal text.
 
     `summary` is that of the view's data set, None without one. `pictures` are of the `scene`, `maps` and `carriers`;
-    `model` and `all_maps` are the names of files beside the page: the 3D model, and the maps at every carrier.
+    `model` and `all_maps` are the names of files in the page's folder: the 3D model, and the maps at every carrier.
     """
     splits, refusals = _protocols(view.dataset) if view.dataset else ([], [])
     room, num_tx = view.room, view.header.num_tx

@@ -37,8 +37,8 @@ from xfreqbench.units import format_ghz
 def draw_maps(file: Path, tx: int, carriers_hz: Sequence[float] | None, range_db: float, output: Path) -> None:
     """Draw the maps of one transmitter at some carriers, at all if None, with a title that says which one it is.
 
-    Raises `DataError`, `XFreqBenchError` for a transmitter that is not there, `UnknownNameError` for such a carrier,
-    and `StorageError`.
+    Raises `DataError`, `XFreqBenchError` for an unknown transmitter, `UnknownNameError` for an unknown carrier, and
+    `StorageError`.
     """
     dataset = open_dataset(file)
     if not 0 <= tx < dataset.header.num_tx:
@@ -58,12 +58,12 @@ def draw_maps(file: Path, tx: int, carriers_hz: Sequence[float] | None, range_db
 def draw_power(file: Path, carriers_hz: Sequence[float] | None, range_db: float, output: Path) -> None:
     """Draw the plan of a data set's room with the power received from every transmitter, at all carriers if None.
 
-    Raises as `draw_maps` does, and `DataError` for data that hold maps alone.
+    Raises as `draw_maps` does, and `DataError` for data without channels.
     """
     dataset = open_dataset(file)
     chosen_hz = _chosen_hz(dataset, carriers_hz)
     if not dataset.header.channels:
-        raise DataError(f"{file} holds maps alone, which say nothing of power; draw --of maps.")
+        raise DataError(f"{file} has maps without channels, so powers are not known; draw --of maps.")
     power = np.stack([10 ** (power_db(dataset[dataset.carrier_hz == f]) / 10) for f in chosen_hz])
     room = plan_view(str(file)).room
     title = f"{_name(dataset)}\npower received from {dataset.header.num_tx} transmitters"
@@ -128,7 +128,7 @@ def plot_power(
 def _draw_squares(
     axis: Any, place_m: Float[FloatArray, "P 2"], power: Float[FloatArray, "P"], range_db: float
 ) -> PolyCollection:
-    """Squares that touch where transmitters stand on a grid; the strong ones are drawn over the weak ones."""
+    """Squares that touch if transmitters are on a grid; the strong ones are drawn over the weak ones."""
     heard = np.flatnonzero(power > 0)
     order = heard[np.argsort(power[heard], kind="stable")]
     apart_m = KDTree(place_m).query(place_m, k=2)[0][:, 1] if len(place_m) > 1 else np.array([np.inf])
@@ -137,7 +137,7 @@ def _draw_squares(
     level_db = 10 * np.log10(power[order] / power.max()) if len(order) else np.zeros(0)
     outlines_m: Any = place_m[order, None] + corners
     colours: dict[str, Any] = {"array": level_db, "cmap": "viridis", "clim": (-range_db, 0), "linewidths": 0}
-    above_lines = 3 if len(axis.lines) > 1000 else 1  # outlines of so many facets would hide the squares
+    above_lines = 3 if len(axis.lines) > 1000 else 1  # outlines of many facets would hide the squares
     squares = PolyCollection(outlines_m, zorder=above_lines, **colours)
     axis.add_collection(squares)
     return squares

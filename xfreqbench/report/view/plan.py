@@ -56,7 +56,7 @@ class Ray:
 class ShownRoom:
     """A scene with its receiver, T transmitters, and the rays of transmitter `tx`; positions in world axes.
 
-    `in_sight` is None where the data do not say which transmitters the receiver sees. The array is drawn at the
+    `in_sight` is None if the data do not say which transmitters the receiver sees. The array is drawn at the
     carrier `lowest_hz`, at which it is widest.
     """
 
@@ -70,7 +70,7 @@ class ShownRoom:
 
     @property
     def tx_m(self) -> Float[FloatArray, "3"]:
-        """Where the transmitter of the rays stands."""
+        """The position of the transmitter of the rays."""
         return self.tx_position_m[self.tx]
 
     @property
@@ -95,9 +95,9 @@ class ShownRoom:
 class ViewPlan:
     """What is shown: a scene, a data set, or both; rays are drawn at `carrier_hz`.
 
-    `header` is the data set's, or the one that `generate` would write for the scene. `scene` is None where the
-    data do not hold it, `settings` of the tracing too; `missing` then says why. `subject` is a hash that tells
-    apart what different views are about. `source` is the data set's file name, or the scene's name or path.
+    `header` is the data set's, or the one that `generate` would write for the scene. `scene` is None if the
+    data do not hold it, `settings` of the tracing too; `missing` then says why. `subject` is a hash of what the view
+    shows. `source` is the data set's file name, or the scene's name or path.
     """
 
     header: DatasetHeader
@@ -136,8 +136,8 @@ def plan_view(data_or_scene: str, tx: int | None = None, carrier_ghz: float | No
 
     Without `tx`, the transmitter nearest to the median of all positions is shown. Without `carrier_ghz`, rays are
     drawn at the middle one of the data's carriers; for a scene, of the paper's. Raises `DataError` for the data set,
-    `SceneError` for the scene, `XFreqBenchError` for a transmitter that is not there or a carrier that is no
-    frequency, and `UnknownNameError` for a carrier that the data set does not have.
+    `SceneError` for the scene, `XFreqBenchError` for an unknown transmitter or a carrier that is not a frequency, and
+    `UnknownNameError` for a carrier that the data set does not have.
     """
     path = Path(data_or_scene)
     if path.suffix == ".toml" or not (path.suffix or path.is_file()):

@@ -44,7 +44,7 @@ def claim(view: ViewPlan, folder: Path) -> None:
 def write_view(view: ViewPlan, folder: Path, tell: Callable[[str], None] = lambda text: None) -> list[Path]:
     """Draw everything, then write `FILES`, for a scene without data only the first three; returns their paths.
 
-    `tell` is called with what is being done, in words.
+    `tell` is called with the name of each step.
 
     Raises what `claim` raises, before anything is drawn, and `DataError`.
     """

@@ -42,7 +42,7 @@ class SoftDirectWave:
         return float(np.median(xb.metrics.ssim(maps, room.pas(), room.grid)))
 
     def adapt(self, heard: xb.PasDataset, budget: xb.Budget) -> SoftDirectWaveRoom:
-        """What predicts maps of a new room, of which `heard` has the samples that are told, perhaps none."""
+        """The predictor for a new room; `heard` has the samples that are given of it, possibly none."""
         return SoftDirectWaveRoom(heard, self.power)
 
     def save(self, directory: Path) -> None:
@@ -60,7 +60,7 @@ class SoftDirectWave:
 
 @dataclass(frozen=True)
 class SoftDirectWaveRoom:
-    """Predicts the maps of one room, whose array `heard` tells."""
+    """Predicts the maps of one room, with the array of `heard`."""
 
     heard: xb.PasDataset
     power: float
