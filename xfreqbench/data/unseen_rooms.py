@@ -196,7 +196,7 @@ def _plan(dataset: PasDataset) -> Scene | None:
     if not json.loads(dataset.header.scene_json):
         return None
     scene = dataset.scene
-    told = (
+    surfaces = (
         replace(surface, name=f"surface {number}", material="concrete", thickness_m=0.2)
         for number, surface in enumerate(scene.surface)
     )
