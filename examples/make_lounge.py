@@ -12,7 +12,7 @@ import trimesh
 from numpy.typing import ArrayLike
 
 FOLDER = Path(__file__).parents[1] / "scenes" / "lounge"
-SLABS = {"wood": 0.02, "chipboard": 0.018, "glass": 0.006, "metal": 0.002}  # metres
+SLABS = {"wood": 0.02, "chipboard": 0.018, "glass": 0.006, "metal": 0.002, "plasterboard": 0.0125}  # metres
 
 
 def cushion(low_m: ArrayLike, high_m: ArrayLike, subdivisions: int = 4) -> trimesh.Trimesh:
@@ -105,25 +105,28 @@ def furniture() -> dict[str, tuple[str, list[trimesh.Trimesh]]]:
     }
 
 
-def main() -> None:
-    """Write the XML and the PLY files."""
+def write_shapes(xml: Path, objects: dict[str, tuple[str, list[trimesh.Trimesh]]]) -> int:
+    """Write a Mitsuba XML of materials and parts by name, and its PLY files; returns the number of triangles."""
     lines = ['<scene version="2.1.0">']
+    used = {material for material, _ in objects.values()}
     for material, thickness_m in SLABS.items():
+        if material not in used:
+            continue
         lines.append(f'  <bsdf type="itu-radio-material" id="mat-{material}">')
         lines.append(f'    <string name="type" value="{material}"/>')
         lines.append(f'    <float name="thickness" value="{thickness_m}"/>\n  </bsdf>')
     num_triangles = 0
-    for name, (material, parts) in furniture().items():
+    for name, (material, parts) in objects.items():
         mesh = trimesh.util.concatenate(parts)
         num_triangles += len(mesh.faces)
         filename = f"{name.replace(' ', '_')}.ply"
-        mesh.export(FOLDER / filename, encoding="binary", vertex_normal=False)
+        mesh.export(xml.parent / filename, encoding="binary", vertex_normal=False)
         lines.append(f'  <shape type="ply" id="mesh-{name}">')
         lines.append(f'    <string name="filename" value="{filename}"/>')
         lines.append(f'    <ref id="mat-{material}" name="bsdf"/>\n  </shape>')
-    (FOLDER / "lounge.xml").write_text("\n".join([*lines, "</scene>", ""]), encoding="utf-8")
-    print(f"{num_triangles:,} triangles, {sum(path.stat().st_size for path in FOLDER.glob('*.ply')) / 1e6:.2f} MB")
+    xml.write_text("\n".join([*lines, "</scene>", ""]), encoding="utf-8")
+    return num_triangles
 
 
 if __name__ == "__main__":
-    main()
+    print(f"{write_shapes(FOLDER / 'lounge.xml', furniture()):,} triangles")

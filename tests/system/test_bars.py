@@ -6,7 +6,7 @@ import pytest
 
 from tests.support.clock import set_clock
 from xfreqbench.system import bars as module
-from xfreqbench.system.bars import ANNOUNCES, announce_compilation, announcing, open_bars, progress_bars
+from xfreqbench.system.bars import ANNOUNCES, announce_compilation, announcing, open_bars, progress_bars, report
 
 
 @pytest.fixture
@@ -33,6 +33,23 @@ def test_a_bar_shows_how_much_is_done_unless_nothing_is_to_be_shown(
         assert not shown
     else:
         assert "3 of 3 maps" in shown and "1 of 4 maps" in shown
+
+
+def test_work_inside_a_stage_is_shown_in_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[tuple[int, int, int, str | None]] = []
+    monkeypatch.setattr(
+        module.Bars,
+        "show",
+        lambda self, stage, done, total, state, title=None: shown.append((stage, done, total, title)),
+    )
+    report("shooting rays", 1, 9)  # nobody listens
+    with progress_bars("transmitters", ["tracing", "writing"], False) as (tracing, _):
+        report("shooting rays", 3, 8)
+        tracing(16, 48)
+        report("transmitters", 5, 16)
+        tracing(48, 48)
+        report("transmitters", 1, 4)  # of those that are traced again to prove the file
+    assert shown == [(0, 3, 8, "shooting rays"), (0, 16, 48, None), (0, 21, 48, None), (0, 48, 48, None)]
 
 
 def test_a_file_is_no_place_for_bars_that_are_drawn_over(request: pytest.FixtureRequest) -> None:

@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 Shown = bool | Literal["auto"]  # auto: where a person looks, on a terminal or in a notebook
 _EVERY_S = 10.0  # between two lines
+_listeners: list[Callable[[str, int, int], None]] = []
 ANNOUNCES = "XFREQBENCH_ANNOUNCES"  # a variable, so that workers have it: 1 to announce compilation, 0 for silence
 
 
@@ -103,11 +104,33 @@ def progress_bars(unit: str, stages: Sequence[str], quiet: bool) -> Iterator[lis
         yield [lambda done, total: None] * len(stages)
         return
     with open_bars(stages) as bars:
+        before = 0, 0
 
         def update(stage: int, done: int, total: int) -> None:
+            nonlocal before
+            before = (done, total) if stage == 0 else before
             bars.show(stage, done, total, f"{done} of {total} {unit}{bars.rate(stage)}")
 
-        yield [partial(update, stage) for stage in range(len(stages))]
+        def hear(title: str, done: int, total: int) -> None:
+            if title != unit:
+                bars.show(0, done, total, f"{done} of {total}", title)
+            elif before[0] + done < before[1]:
+                bars.show(0, before[0] + done, before[1], f"{before[0] + done} of {before[1]} {unit}{bars.rate(0)}")
+
+        _listeners.append(hear)
+        try:
+            yield [partial(update, stage) for stage in range(len(stages))]
+        finally:
+            _listeners.remove(hear)
+
+
+def report(title: str, done: int, total: int) -> None:
+    """Say how far long work in this process is; `progress_bars` show it in place of their first stage.
+
+    What is reported under the name of their unit is part of what is counted next.
+    """
+    for hear in _listeners:
+        hear(title, done, total)
 
 
 def is_watched() -> bool:

@@ -8,16 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from tests.support.furnished_room import GRID, RECEIVER, TX_M, furnished_room, plate, write_meshes
 from tests.support.reference import cfr_at_centre
 from xfreqbench.errors import SceneError
 from xfreqbench.scene.facets import Geometry
-from xfreqbench.scene.meshes import surface_meshes, triangle_corners_m
-from xfreqbench.scene.model import ReceiverArray, Scene, Surface
+from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes, triangle_corners_m
+from xfreqbench.scene.model import PatchSize, ReceiverArray, Scene, Surface
 from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.kernels.arrays import MAX_BOXES, MIN_SEGMENT_M
-from xfreqbench.tracing.image.surfaces import grow
+from xfreqbench.tracing.image.surfaces import MirrorPlanes, grow
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.paths import DIFFRACTION
 from xfreqbench.tracing.solvers import resolve_solver
@@ -285,3 +286,43 @@ def test_a_channel_depends_neither_on_the_order_of_carriers_nor_on_what_else_is_
     np.testing.assert_array_equal(backward.channel(TX_M).cfr, whole[:, ::-1])
     np.testing.assert_array_equal(forward.paths(TX_M[0]).gain, backward.paths(TX_M[0]).gain[::-1])
     np.testing.assert_allclose(some.channel(TX_M[::-2]).cfr, whole[::-2, 1:], rtol=0, atol=1e-6 * np.abs(whole).max())
+
+
+@pytest.mark.parametrize(
+    ("outline_m", "area_m2", "num_facets"),
+    [
+        ([[0, 0], [1, 0], [1, 1], [0, 1]], 1.0, 1),
+        ([[0, 0], [2, 0], [2.5, 1], [0.5, 1]], 2.0, 1),
+        ([[0, 0], [1, 0], [0, 1]], 0.5, 1),
+        ([[0, 0], [2, 0], [2, 1], [1, 2], [0, 1]], 3.0, 3),  # a fan
+        ([[1, 1], [1, 2], [0, 2], [0, 0], [2, 0], [2, 1]], 3.0, None),  # an L, which stays as it is divided
+    ],
+)
+def test_a_convex_patch_is_as_few_facets_as_it_can_be(
+    outline_m: list[list[float]], area_m2: float, num_facets: int | None
+) -> None:
+    fan = [[0, k, k + 1] for k in range(1, len(outline_m) - 1)]
+    sheet = trimesh.Trimesh([[*at, 0.0] for at in outline_m], fan, process=False).subdivide().subdivide()
+    tilted_m = trimesh.transformations.euler_matrix(0.3, 0.7, -0.4)[:3, :3] @ sheet.vertices.T
+    mesh = SurfaceMesh("sheet", "wood", 0.02, tilted_m.T, sheet.faces, least_patch=PatchSize(0.1, 0.1))
+    mirrors = MirrorPlanes(Geometry([mesh]))
+    corners_m = [corners for corners, *_ in mirrors.facets]
+    sides_m = [(corners[1] - corners[0], corners[-1] - corners[0]) for corners in corners_m]
+    share = [0.5 if len(corners) == 3 else 1.0 for corners in corners_m]
+    areas_m2 = np.linalg.norm([np.cross(*sides) for sides in sides_m], axis=1) * share
+    assert np.isclose(areas_m2.sum(), area_m2)
+    assert len(mirrors.planes) == 1
+    assert len(mirrors.facets) == num_facets if num_facets else len(mirrors.facets) > 10
+    # a sheet that shows its front to both sides is not one facet
+    both = replace(mesh, triangles=np.concatenate([sheet.faces, sheet.faces[:, ::-1]]))
+    assert len(MirrorPlanes(Geometry([both])).facets) > 1
+
+
+def test_an_edge_that_is_hidden_from_the_array_is_left_out_for_all_transmitters(room: Scene) -> None:
+    lid = Surface("lid", "metal", 0.002, (0.0, 0.0, 2.2), (4.0, 3.0, 2.2))
+    open_, closed = (
+        ImageTracer(replace(room, surface=(*room.surface, *lids)), CARRIERS_HZ, DIFFRACTING).diffraction
+        for lids in ((), (lid,))
+    )
+    assert open_ is not None and closed is not None
+    assert len(open_.room.wedges.length) > 8 > len(closed.room.wedges.length)

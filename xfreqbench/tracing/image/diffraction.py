@@ -15,9 +15,10 @@ from jaxtyping import Bool, Float, Int
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import triangle_corners_m
 from xfreqbench.tracing.image.edges import Edge, find_edges
-from xfreqbench.tracing.image.kernels.arrays import CentrePath, Facets, Media, SceneArrays, Sums
+from xfreqbench.tracing.image.kernels.arrays import NUM_CHUNKS, CentrePath, Facets, Media, SceneArrays, Sums
+from xfreqbench.tracing.image.kernels.compiled import on_threads
 from xfreqbench.tracing.image.kernels.edge_paths import EdgeContext, Limits, add_over_edges, paths_over_edges
-from xfreqbench.tracing.image.kernels.edge_sides import Reflectors, find_sides
+from xfreqbench.tracing.image.kernels.edge_sides import Reflectors, Sides, find_sides, open_spans
 from xfreqbench.tracing.image.kernels.slabs import stack_coefficients
 from xfreqbench.tracing.image.kernels.wedges import Wedges
 from xfreqbench.tracing.image.surfaces import MirrorPlanes
@@ -50,13 +51,14 @@ class Diffraction:
         triangles_m = triangle_corners_m(geometry.meshes)[blocks]
         edges = find_edges(mirrors.facets, triangles_m, geometry.mesh_of_triangle[blocks])
         faces = np.array([edge.surfaces for edge in edges], np.int64).reshape(-1, 2)
-        self._surfaces = surface, faces[:, 0].copy()
         is_opaque = np.zeros(len(geometry.meshes), bool)
         is_opaque[surface] = facets.is_opaque
         are_turned = np.array([edge.are_turned for edge in edges], np.int64).reshape(-1, 2)
         wedges = _wedges(edges, kind[are_turned, faces], np.asarray(is_opaque[faces].any(axis=1)))
-        reflectors = _reflectors(len(mirrors.planes), facets, corners_m, scene.media)
+        reflectors = _reflectors(mirrors, facets, corners_m, scene.media)
         sides = find_sides(facets, reflectors, wedges, points_m, limits.max_planes)
+        wedges, sides, is_seen = _seen(facets, wedges, sides, points_m - points_m[0], limits.max_depth)
+        self._surfaces = surface, faces[is_seen, 0].copy()
         self.room, self._sought = EdgeContext(scene, wedges, reflectors), (sides, limits)
 
     def in_scene(self, scene: SceneArrays) -> Diffraction:
@@ -88,10 +90,44 @@ def _wedges(edges: list[Edge], slab: Int[IntArray, "E 2"], is_opaque: Bool[NDArr
     return Wedges(start_m, along, tangent, normal, normal_n, length_m, angle_rad, slab, is_opaque)
 
 
-def _reflectors(num_planes: int, facets: Facets, corners_m: Float[FloatArray, "Q 4 3"], media: Media) -> Reflectors:
+def _seen(
+    facets: Facets, wedges: Wedges, sides: Sides, offset_m: Float[FloatArray, "O 3"], max_depth: int
+) -> tuple[Wedges, Sides, Bool[NDArray[np.bool_], "E"]]:
+    """The parts of edges that sides see past all facets, the sides that see any, and which of the edges these are."""
+    bounds = np.linspace(0, len(sides.edge), NUM_CHUNKS + 1).astype(int)
+
+    def look(chunk: int) -> FloatArray:
+        return open_spans(facets, wedges, sides, offset_m, max_depth, *bounds[chunk : chunk + 2])
+
+    span_m = np.concatenate(on_threads(look, NUM_CHUNKS, "looking along edges"))
+    is_open = span_m[:, 0] < span_m[:, 1]
+    edge, span_m = sides.edge[is_open], span_m[is_open]
+    low_m, high_m = np.full(len(wedges.length), np.inf), np.full(len(wedges.length), -np.inf)
+    np.minimum.at(low_m, edge, span_m[:, 0])
+    np.maximum.at(high_m, edge, span_m[:, 1])
+    is_seen = low_m < high_m
+    kept = Wedges._make(column[is_seen] for column in wedges)
+    low_m, high_m = np.maximum(low_m, 0.0), np.minimum(high_m, wedges.length)
+    start_m = kept.start + low_m[is_seen, None] * kept.along
+    sides = Sides._make([sides.first, *(column[is_open] for column in sides[1:])])
+    polar = sides.polar.copy()
+    polar[:, 1] -= low_m[edge]
+    number = np.cumsum(is_seen)[edge] - 1
+    sides = sides._replace(
+        first=np.searchsorted(number, np.arange(is_seen.sum() + 1)),
+        edge=number,
+        polar=polar,
+        span=span_m - low_m[edge, None],
+    )
+    return kept._replace(start=start_m, length=(high_m - low_m)[is_seen]), sides, is_seen
+
+
+def _reflectors(
+    mirrors: MirrorPlanes, facets: Facets, corners_m: Float[FloatArray, "Q 4 3"], media: Media
+) -> Reflectors:
     """The facets of each plane that mirrors, and bounds of what the planes reflect at each carrier."""
     facet = np.argsort(facets.plane, kind="stable")
-    first = np.searchsorted(facets.plane[facet], np.arange(num_planes + 1))
+    first = np.searchsorted(facets.plane[facet], np.arange(len(mirrors.planes) + 1))
     facet = facet[: first[-1]]
     cosines = np.linspace(0, 1, COSINES)
     most = np.empty((len(media.permittivity), len(media.first) - 1, COSINES))  # (F, K, L)
@@ -104,4 +140,7 @@ def _reflectors(num_planes: int, facets: Facets, corners_m: Float[FloatArray, "Q
     by_facet = most[:, facets.slab[facet]]
     of_plane = [by_facet[:, a:b].max(axis=1) for a, b in pairwise(first)]
     by_plane = np.array(of_plane).reshape(-1, len(most), COSINES).swapaxes(0, 1).copy()
-    return Reflectors(first, facet, corners_m[facet], by_plane)
+    axis = np.ascontiguousarray(mirrors.axis[:, :2])
+    place_m = np.einsum("qkc,qac->qak", corners_m[facet], axis[facets.plane[facet]])
+    box = np.stack([place_m.min(axis=2), place_m.max(axis=2)], axis=2).reshape(-1, 4)
+    return Reflectors(first, facet, corners_m[facet], axis, box, by_plane)

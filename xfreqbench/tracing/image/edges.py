@@ -7,8 +7,7 @@ mirror, small parts of curved meshes, have no edges of their own; where they mee
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,10 +15,10 @@ from jaxtyping import Float, Int
 
 from xfreqbench.scene.facets import PlanarFacet
 from xfreqbench.scene.patches import PLANE_TOLERANCE
+from xfreqbench.system.bars import report
+from xfreqbench.tracing.image.kernels.edges import BESIDE_M, MIN_TURN_RAD, Flat, pieces, wedge_around
+from xfreqbench.tracing.image.surfaces import grow
 from xfreqbench.types import FloatArray, IntArray
-
-BESIDE_M = 1e-3  # how far beside an edge a facet must reach to count as one of its faces; shorter edges are none
-MIN_TURN_RAD = 1e-3  # by which the angle that is left free exceeds a half turn
 
 
 class Edge(NamedTuple):
@@ -39,29 +38,18 @@ class Edge(NamedTuple):
     are_turned: tuple[bool, bool]  # whether they show their backs to the free space
 
 
-class _Flat:
-    """Facets as arrays (Q, …): normal, corner, dual vectors of two sides, bounding box, mesh, and whether it is turned.
-
-    One is turned where its unit normal points to its back.
-    """
-
-    def __init__(
-        self, mirrors: Sequence[PlanarFacet], triangles_m: Float[FloatArray, "K 3 3"], surface: IntArray
-    ) -> None:
-        mirrors_m = [facet.corners_m[[0, 1, 2, -1]] for facet in mirrors]
-        corners_m = np.concatenate([mirrors_m, triangles_m[:, [0, 1, 2, 2]]])
-        sides_m = corners_m[:, [1, 3]] - corners_m[:, :1]
-        normal = np.cross(sides_m[:, 0], sides_m[:, 1])
-        self.normal = normal / np.linalg.norm(normal, axis=1)[:, None]
-        self.corner_m = corners_m[:, 0]
-        self.dual = np.linalg.pinv(sides_m).transpose(0, 2, 1)
-        is_triangle = [len(facet.corners_m) == 3 for facet in mirrors]
-        self.is_triangle = np.array(is_triangle + [True] * len(triangles_m))
-        self.low_m, self.high_m = corners_m.min(axis=1) - 2 * BESIDE_M, corners_m.max(axis=1) + 2 * BESIDE_M
-        self.surface = np.concatenate([[facet.surface for facet in mirrors], surface])
-        fronts = np.array([facet.front for facet in mirrors])
-        self.is_turned = np.einsum("qc,qc->q", fronts, self.normal[: len(mirrors)]) < 0
-        self.is_turned = np.concatenate([self.is_turned, np.zeros(len(triangles_m), bool)])
+def _flat(mirrors: Sequence[PlanarFacet], triangles_m: Float[FloatArray, "K 3 3"]) -> Flat:
+    """Facets as the kernels take them."""
+    mirrors_m = [facet.corners_m[[0, 1, 2, -1]] for facet in mirrors]
+    corners_m = np.concatenate([mirrors_m, triangles_m[:, [0, 1, 2, 2]]])
+    low_m, high_m = corners_m.min(axis=1) - 2 * BESIDE_M, corners_m.max(axis=1) + 2 * BESIDE_M
+    order, box, child, first, last = grow(low_m, high_m)
+    sides_m = corners_m[order][:, [1, 3]] - corners_m[order, :1]
+    normal = np.cross(sides_m[:, 0], sides_m[:, 1])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    dual = np.ascontiguousarray(np.linalg.pinv(sides_m).transpose(0, 2, 1))
+    is_triangle = np.array([len(facet.corners_m) == 3 for facet in mirrors] + [True] * len(triangles_m))
+    return Flat(order, normal, corners_m[order, 0], dual, is_triangle[order], box, child, first, last)
 
 
 def find_edges(
@@ -74,13 +62,30 @@ def find_edges(
     """
     if not mirrors:
         return []
-    flat = _Flat(mirrors, triangles_m, surface)
+    flat = _flat(mirrors, triangles_m)
+    surface = np.concatenate([[facet.surface for facet in mirrors], surface])
+    fronts = np.array([facet.front for facet in mirrors])
+    corners_m = [facet.corners_m for facet in mirrors]
+    ends_m = [np.roll(facet, -1, axis=0) for facet in corners_m]
     edges: list[Edge] = []
-    for start_m, along, length_m in _pieces(mirrors):
-        edge = _wedge(flat, start_m, along, length_m)
-        if edge is not None and edges and _goes_on(edges[-1], edge):
+    lines = pieces(np.concatenate(corners_m), np.concatenate(ends_m))
+    for number, (start_m, along, length_m) in enumerate(lines):
+        if number % 1000 == 0:
+            report("looking for edges", number, len(lines))
+        angle_rad, towards, face = wedge_around(flat, start_m, along, length_m)
+        if not angle_rad:
+            continue
+        normals = np.cross(along, towards[0]), np.cross(towards[1], along)
+        of_face = flat.number[face]
+        turned, turned_n = (
+            bool((fronts[i] if i < len(fronts) else flat.normal[q]) @ normal < 0)
+            for i, q, normal in zip(of_face, face, normals, strict=True)
+        )
+        faces = int(surface[of_face[0]]), int(surface[of_face[1]])
+        edge = Edge(start_m, along, towards[0], normals[0], length_m, angle_rad, faces, (turned, turned_n))
+        if edges and _goes_on(edges[-1], edge):
             edges[-1] = edges[-1]._replace(length_m=edges[-1].length_m + length_m)
-        elif edge is not None:
+        else:
             edges.append(edge)
     return edges
 
@@ -95,65 +100,3 @@ def _goes_on(before: Edge, after: Edge) -> bool:
         and before.along @ after.along > 1 - PLANE_TOLERANCE
         and before.tangent @ after.tangent > 1 - PLANE_TOLERANCE
     )
-
-
-def _pieces(mirrors: Sequence[PlanarFacet]) -> Iterator[tuple[FloatArray, FloatArray, float]]:
-    """Start, direction and length of the pieces into which corners of facets divide the lines of their sides."""
-    start_m = np.concatenate([facet.corners_m for facet in mirrors])
-    end_m = np.concatenate([np.roll(facet.corners_m, -1, axis=0) for facet in mirrors])
-    left = np.linalg.norm(end_m - start_m, axis=1) > BESIDE_M
-    while left.any():
-        first = int(left.argmax())
-        origin_m, along = start_m[first], end_m[first] - start_m[first]
-        along = along / np.linalg.norm(along)
-        is_on_line = left & (_distance_m(start_m, origin_m, along) < PLANE_TOLERANCE)
-        is_on_line &= _distance_m(end_m, origin_m, along) < PLANE_TOLERANCE
-        is_on_line[first] = True
-        left &= ~is_on_line
-        ends_m = (np.concatenate([start_m[is_on_line], end_m[is_on_line]]) - origin_m) @ along
-        corner_m = (start_m[_distance_m(start_m, origin_m, along) < PLANE_TOLERANCE] - origin_m) @ along
-        at_m = np.sort(corner_m[(corner_m >= ends_m.min()) & (corner_m <= ends_m.max())])
-        at_m = at_m[np.diff(at_m, prepend=-np.inf) > BESIDE_M]
-        for low_m, high_m in pairwise(at_m):
-            yield origin_m + low_m * along, along, float(high_m - low_m)
-
-
-def _distance_m(
-    points_m: Float[FloatArray, "n 3"], origin_m: Float[FloatArray, "3"], along: Float[FloatArray, "3"]
-) -> Float[FloatArray, "n"]:
-    """Distances of points from a line."""
-    return np.asarray(np.linalg.norm(np.cross(points_m - origin_m, along), axis=1))
-
-
-def _wedge(flat: _Flat, start_m: Float[FloatArray, "3"], along: Float[FloatArray, "3"], length_m: float) -> Edge | None:
-    """The wedge around a piece of a line, or None where its facets leave no more than half of the space free."""
-    middle_m = start_m + length_m / 2 * along
-    facets = np.flatnonzero(((flat.low_m < middle_m) & (middle_m < flat.high_m)).all(axis=1))
-    gap_m = np.einsum("qi,qi->q", middle_m - flat.corner_m[facets], flat.normal[facets])
-    is_along = np.abs(flat.normal[facets] @ along) < PLANE_TOLERANCE
-    facets = facets[(np.abs(gap_m) < PLANE_TOLERANCE) & is_along]
-    beside = np.cross(flat.normal[facets], along)
-    facets, towards = np.tile(facets, 2), np.concatenate([beside, -beside])
-    towards /= np.linalg.norm(towards, axis=1)[:, None]
-    point_m = middle_m + BESIDE_M * towards - flat.corner_m[facets]
-    u, v = np.einsum("nci,ni->cn", flat.dual[facets], point_m)
-    is_face = (u > 0) & (v > 0) & np.where(flat.is_triangle[facets], u + v < 1, (u < 1) & (v < 1))
-    face, towards = facets[is_face], towards[is_face]
-    if len(face) == 0:
-        return None
-    across = np.cross(along, towards[0])
-    angle_rad = np.arctan2(towards @ across, towards @ towards[0]) % (2 * np.pi)
-    angle_rad[angle_rad > 2 * np.pi - MIN_TURN_RAD] = 0.0  # the first facet again, rounded
-    order = np.argsort(angle_rad, kind="stable")
-    free_rad = np.diff(angle_rad[order], append=angle_rad[order[0]] + 2 * np.pi)
-    widest = int(free_rad.argmax())
-    if free_rad[widest] < np.pi + MIN_TURN_RAD:
-        return None
-    zero, n = order[widest], order[(widest + 1) % len(order)]
-    normal, normal_n = np.cross(along, towards[zero]), np.cross(towards[n], along)
-    surfaces = int(flat.surface[face[zero]]), int(flat.surface[face[n]])
-    turned, turned_n = (
-        bool((flat.normal[face[i]] @ free < 0) != flat.is_turned[face[i]])
-        for i, free in ((zero, normal), (n, normal_n))
-    )
-    return Edge(start_m, along, towards[zero], normal, length_m, float(free_rad[widest]), surfaces, (turned, turned_n))

@@ -34,7 +34,7 @@ def sequences_of(
     turn_rad = rng.uniform(0, 2 * np.pi, len(origins_m))
     num_rays = max(1, settings.rays // len(origins_m))
     shots = Shots(origins_m, turn_rad, num_rays, settings.max_depth, num_planes)
-    found = on_threads(lambda chunk: shot(facets, shots, chunk), NUM_CHUNKS * len(origins_m))
+    found = on_threads(lambda chunk: shot(facets, shots, chunk), NUM_CHUNKS * len(origins_m), "shooting rays")
     parent, plane = np.divmod(joined(np.concatenate(found), num_planes, most), num_planes)
     parent[0] = plane[0] = -1
     return parent, plane

@@ -11,10 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import ConvexHull
 
+from xfreqbench.scene.array import frame_rotation
 from xfreqbench.scene.facets import Geometry, PlanarFacet, group_by_plane, planar_facets
-from xfreqbench.scene.meshes import triangle_corners_m
-from xfreqbench.scene.patches import PLANE_TOLERANCE
+from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
+from xfreqbench.scene.patches import PLANE_TOLERANCE, rounding_m
 from xfreqbench.tracing.image.kernels.arrays import Facets
 from xfreqbench.tracing.image.kernels.tree import divide
 from xfreqbench.types import FloatArray, IntArray, NDArray
@@ -48,7 +50,10 @@ class MirrorPlanes:
 
 
 def _by_patch(geometry: Geometry) -> Iterator[list[PlanarFacet]]:
-    """Facets of each patch that mirrors; two triangles that form a parallelogram are one facet."""
+    """Facets of each patch that mirrors, as few as they can be where it is convex.
+
+    In other patches two triangles that form a parallelogram are one facet.
+    """
     number = [len(mesh.triangles) for mesh in geometry.meshes]
     mesh, first = geometry.mesh_of_triangle, np.cumsum([0, *number])
     order = np.argsort(geometry.mirror_patch, kind="stable")
@@ -58,8 +63,34 @@ def _by_patch(geometry: Geometry) -> Iterator[list[PlanarFacet]]:
         for m in np.unique(mesh[rows]):
             triangles = geometry.meshes[m].triangles[rows[mesh[rows] == m] - first[m]]
             piece = replace(geometry.meshes[m], triangles=triangles)
-            patch += [facet._replace(surface=int(m)) for facet in planar_facets([piece])]
+            facets = (_convex_facets(piece) if piece.least_patch else []) or planar_facets([piece])
+            patch += [facet._replace(surface=int(m)) for facet in facets]
         yield patch
+
+
+def _convex_facets(patch: SurfaceMesh) -> list[PlanarFacet]:
+    """One parallelogram or triangle, or a fan of triangles, that is all of a coplanar patch; [] if it is not convex."""
+    corners_m = patch.corners_m
+    doubled_m2 = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    normal, slack_m = doubled_m2.sum(axis=0), 2 * rounding_m(corners_m)
+    if (doubled_m2 @ normal <= 0).any():
+        return []  # parts of it face the other way
+    points_m = corners_m.reshape(-1, 3)
+    axes = frame_rotation(tuple(normal / np.linalg.norm(normal)))[:, :2]
+    hull = ConvexHull(points_m @ axes)  # in the plane its volume is an area, and its area a length
+    if abs(np.linalg.norm(doubled_m2, axis=1).sum() / 2 - hull.volume) > slack_m * hull.area:
+        return []
+    ring_m = points_m[hull.vertices]
+    while len(ring_m) > 3:  # leave out the corner that is nearest to the line between its neighbours
+        before_m, after_m = np.roll(ring_m, 1, axis=0), np.roll(ring_m, -1, axis=0)
+        chord_m = after_m - before_m
+        off_m = np.linalg.norm(np.cross(ring_m - before_m, chord_m), axis=1) / np.linalg.norm(chord_m, axis=1)
+        if off_m.min() > slack_m:
+            break
+        ring_m = np.delete(ring_m, off_m.argmin(), axis=0)
+    if len(ring_m) == 4 and np.abs(ring_m[0] + ring_m[2] - ring_m[1] - ring_m[3]).max() < 2 * slack_m:
+        return [PlanarFacet(ring_m, 0, normal)]
+    return [PlanarFacet(ring_m[[0, k, k + 1]], 0, normal) for k in range(1, len(ring_m) - 1)]
 
 
 def _in_planes_of_the_largest(facets: list[PlanarFacet]) -> tuple[Int[IntArray, "n"], list[PlanarFacet]]:

@@ -183,7 +183,7 @@ class ImageTracer:
             if self.diffuse is not None:
                 self.diffuse.add_channel(tx[i], sums, num_paths[i])
 
-        on_threads(add, len(tx))
+        on_threads(add, len(tx), "transmitters")
         self._floor_at = dict(zip(map(bytes, tx), floors, strict=True))
         cfr, original = real + 1j * imag, np.argsort(self._order)
         return Channel(cfr[:, original], num_paths[:, original])

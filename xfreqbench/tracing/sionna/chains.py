@@ -22,6 +22,7 @@ from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh, triangle_corners_m
 from xfreqbench.scene.patches import PLANE_TOLERANCE, components
 from xfreqbench.scene.visibility import fibonacci_sphere
+from xfreqbench.system.bars import report
 from xfreqbench.tracing.paths import NO_INTERACTION, REFRACTION, SPECULAR
 from xfreqbench.tracing.sionna.scene import RadioScene, dr, mi, point3f
 from xfreqbench.tracing.tracer import TraceSettings
@@ -152,7 +153,8 @@ def _run_rays(
     start_m = origins_m[np.arange(settings.rays) % len(origins_m)]
     ray = mi.Ray3f(point3f(start_m), mi.Vector3f(point3f(fibonacci_sphere(settings.rays))))
     active = dr.full(mi.Bool, True, settings.rays)
-    for _ in range(settings.max_depth):
+    for depth in range(settings.max_depth):
+        report("shooting rays", depth, settings.max_depth)
         hit = radio_scene.mitsuba.ray_intersect(ray, ray_flags=mi.RayFlags.Minimal, coherent=False, active=active)
         active &= hit.is_valid()
         mesh = mesh_of_pointer[dr.reinterpret_array(mi.UInt, hit.shape).numpy() * active.numpy()]

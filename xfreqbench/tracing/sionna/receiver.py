@@ -17,6 +17,7 @@ from jaxtyping import Complex, Float, Int
 
 from xfreqbench.scene.meshes import triangle_corners_m
 from xfreqbench.scene.model import Antenna, ReceiverArray
+from xfreqbench.system.bars import report
 from xfreqbench.tracing.paths import NO_INTERACTION, Paths
 from xfreqbench.tracing.sionna.chains import Chains, opaque_meshes, planes_of, shoot
 from xfreqbench.tracing.sionna.field import Rays, path_interactions, with_travel_phase
@@ -84,6 +85,7 @@ class ReceiverRays(Rays):
         cfr = np.zeros(shape, dtype=np.complex128)
         num_paths = np.zeros(shape[:2], dtype=np.int32)
         for start in range(0, len(tx_position_m), 8):
+            report("transmitters", start, len(tx_position_m))
             batch = slice(start, start + 8)
             candidates = self._candidates(tx_position_m[batch])
             for index, carrier in enumerate(self.carrier_hz.tolist()):

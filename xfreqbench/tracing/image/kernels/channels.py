@@ -8,7 +8,7 @@ from xfreqbench.tracing.paths import REFRACTION, SPECULAR
 
 from .arrays import BLOCK, F64, I32, I64, CentrePath, Facets, Media, Path, SceneArrays, Sums, Walk, new_walk
 from .bundles import EVERYWHERE, MIXED, NOWHERE, decide, fold, follow, gather_mirrors, gather_slabs
-from .compiled import bare, entry, part, whole
+from .compiled import bare, entry, whole
 from .fields import Image, gains, interpolate, spread
 from .sequences import Trie, candidates_of, line_of
 from .tree import CORNERS, LONE, QUAD
@@ -16,8 +16,8 @@ from .tree import CORNERS, LONE, QUAD
 NEAR = 20.0  # half diagonals of the array: to shorter paths than so many its elements differ too much to interpolate
 
 
-@part
-def _met(length: int, walk: Walk) -> int:
+@bare
+def met_of(length: int, walk: Walk) -> int:
     """A number, not negative, that stands for the facets that the path traced last meets."""
     met = 0
     for s in range(length + 1):
@@ -72,7 +72,7 @@ def _add_to_some(
                     continue
             elif reach == MIXED and follow(facets, path, lone, has_mirrors, LONE, walk) != EVERYWHERE:
                 continue
-            met = _met(path.length, walk)
+            met = met_of(path.length, walk)
             if met != known:  # else the waves at all elements are known, which meet the same
                 gains(facets, media, path, element_m, first, num_elements, walk, own)
                 spread(own, image, element_m, wavelength_m)

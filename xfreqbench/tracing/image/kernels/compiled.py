@@ -14,6 +14,7 @@ from numba import get_num_threads, njit
 
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.system import kernels
+from xfreqbench.system.bars import report
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 Result = TypeVar("Result")
@@ -59,13 +60,18 @@ def num_threads() -> int:
         ) from error
 
 
-def on_threads(call: Callable[[int], Result], number: int) -> list[Result]:
+def on_threads(call: Callable[[int], Result], number: int, title: str = "") -> list[Result]:
     """The results of `call` for 0 to number − 1, computed by as many threads as Numba may use.
 
-    After an exception, Ctrl-C included, it does not wait for those that compile or compute, which may take a minute.
+    With a `title` it reports how many are there. After an exception, Ctrl-C included, it does not wait for those that
+    compile or compute, which may take a minute.
     """
-    threads = ThreadPoolExecutor(num_threads())
+    threads, results = ThreadPoolExecutor(num_threads()), list[Result]()
     try:
-        return list(threads.map(call, range(number)))
+        for result in threads.map(call, range(number)):
+            results.append(result)
+            if title:
+                report(title, len(results), number)
+        return results
     finally:
         threads.shutdown(wait=False, cancel_futures=True)

@@ -17,12 +17,12 @@ from xfreqbench.tracing.paths import DIFFRACTION
 
 from .arrays import BLOCK, C128, F64, I32, I64, CentrePath, Path, SceneArrays, Sums, Walk, new_walk
 from .bundles import EVERYWHERE, MIXED, NOWHERE, follow
-from .channels import list_interactions
+from .channels import list_interactions, met_of
 from .compiled import bare, entry, lane, whole
 from .edge_sides import MAX_SIDE_PLANES, Reflectors, Sides, sides_of
 from .fields import antenna_field, antenna_of, element_gain, specular_share
 from .slabs import cosine_and_sine, reflect, transmit
-from .tree import CORNERS, LONE, Bundle
+from .tree import CORNERS, LONE, QUAD, Bundle
 from .wedges import Polar, Wedges, diffract, edge_point, off_boundary, place, polar
 
 
@@ -64,7 +64,7 @@ class Work(NamedTuple):
     gains: C128  # (M,)
     vectors: F64  # (6, 3)
     zeros: F64  # (4, 3)
-    own: F64  # (1, 3): an element
+    four: F64  # (4, 3): offsets of elements
     most: F64  # (F,): bounds of a path's amplitude over its wavelength, in 1/m
     floor: F64  # (F,): the least with which it is added
 
@@ -81,7 +81,7 @@ def _new_work(num_elements: int, num_carriers: int) -> Work:
         np.zeros(num_elements, np.complex128),
         np.zeros((6, 3)),
         np.zeros((4, 3)),
-        np.zeros((1, 3)),
+        np.zeros((4, 3)),
         np.zeros(num_carriers),
         np.zeros(num_carriers),
     )
@@ -279,8 +279,8 @@ def _add_path(context: EdgeContext, path: _EdgePath, limits: Limits, work: Work,
 
     A carrier at which the corners agree decides for all narrower apertures.
     """
-    (real, imag), aperture, wedges, reached, own = sums, context.scene.aperture, context.wedges, MIXED, work.own
-    shift = _change(wedges.angle[path.edge], path.near_polar, path.far_polar)
+    (real, imag), aperture, reached = sums, context.scene.aperture, MIXED
+    shift = _change(context.wedges.angle[path.edge], path.near_polar, path.far_polar)
     for f in range(num_paths.shape[0]):
         if work.most[f] < work.floor[f]:
             continue
@@ -288,24 +288,60 @@ def _add_path(context: EdgeContext, path: _EdgePath, limits: Limits, work: Work,
             reached = _reach(context, path, aperture.corner_m[f], limits.max_depth, CORNERS, work)
         if reached == NOWHERE:
             break
-        is_heard, wavelength_m = False, aperture.wavelength_m[f]
+        is_heard, own_sums = False, (real[f], imag[f])
         if reached == EVERYWHERE:
             _gains(context, path, f, shift, work)
-        for m in range(real.shape[1]):
-            for c in range(3):
-                own[0, c] = aperture.element_m[f, c, m]
-            if reached == MIXED:
-                if _reach(context, path, own, limits.max_depth, LONE, work) != EVERYWHERE:
-                    continue
-                work.gains[m] = _gain(context, path, f, work)
-            _end_at(path.far, own[0, 0], own[0, 1], own[0, 2], work.end[1])
-            length_m = _length_over(wedges, path.edge, path.near_polar, work.end[1])
-            cosine, sine = cosine_and_sine(length_m / wavelength_m)
-            factor = wavelength_m / (4.0 * math.pi * length_m) * complex(cosine, -sine) * work.gains[m]
-            real[f, m] += factor.real
-            imag[f, m] += factor.imag
-            is_heard |= factor != 0
+            for m in range(real.shape[1]):
+                is_heard |= _add_element(context, path, f, m, work, own_sums)
+        else:
+            is_heard = _add_to_some(context, path, f, shift, limits.max_depth, work, own_sums)
         num_paths[f] += is_heard
+
+
+@bare
+def _add_to_some(
+    context: EdgeContext, path: _EdgePath, f: int, shift: float, max_depth: int, work: Work, sums: Sums
+) -> bool:
+    """Add a path at carrier f to those of the elements that it reaches; False where it is heard at none.
+
+    It is decided for each quad of neighbours at once, where they agree. Those whose paths meet the same have gains as
+    `_gains` computes them.
+    """
+    quads, is_heard, known = context.scene.quads, False, -1
+    for b in range(quads.shape[0]):
+        quad, reached = quads[b], MIXED
+        for k in range(4):
+            for c in range(3):
+                work.four[k, c] = context.scene.aperture.element_m[f, c, quad[k]]
+        if quad[0] < quad[3]:  # else it is a single element
+            reached = _reach(context, path, work.four, max_depth, QUAD, work)
+        last = -1
+        for k in range(4 if reached != NOWHERE else 0):
+            m, lone = quad[k], work.four[k : k + 1]
+            if m <= last:  # there again, at the rim of an odd number of elements
+                continue
+            last = m
+            if reached == MIXED and _reach(context, path, lone, max_depth, LONE, work) != EVERYWHERE:
+                continue
+            met = (met_of(path.near.length, work.near) * 31 + met_of(path.far.length, work.far)) & 0x7FFF_FFFF_FFFF_FFFF
+            if met != known:
+                _gains(context, path, f, shift, work)
+                known = met
+            is_heard |= _add_element(context, path, f, m, work, sums)
+    return is_heard
+
+
+@bare
+def _add_element(context: EdgeContext, path: _EdgePath, f: int, m: int, work: Work, sums: Sums) -> bool:
+    """Add a path, whose gain is in `work`, at element m to `sums` (M,) of carrier f; False where it has vanished."""
+    element_m, wavelength_m = context.scene.aperture.element_m, context.scene.aperture.wavelength_m[f]
+    _end_at(path.far, element_m[f, 0, m], element_m[f, 1, m], element_m[f, 2, m], work.end[1])
+    length_m = _length_over(context.wedges, path.edge, path.near_polar, work.end[1])
+    cosine, sine = cosine_and_sine(length_m / wavelength_m)
+    factor = wavelength_m / (4.0 * math.pi * length_m) * complex(cosine, -sine) * work.gains[m]
+    sums[0][m] += factor.real
+    sums[1][m] += factor.imag
+    return factor != 0
 
 
 @bare

@@ -12,16 +12,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .arrays import F64, I16, I64, Facets
+from .arrays import F64, FAR, I16, I64, Facets, Path, new_walk
+from .bundles import EVERYWHERE, follow
 from .compiled import bare, entry, part, whole, within
 from .sequences import mirrored_offsets
-from .tree import beyond_edges
+from .tree import LONE, beyond_edges
 from .wedges import Wedges, polar
 
 Span = tuple[float, float]
 
 MAX_SIDE_PLANES = 3  # on either side of the edge
 NOTHING = (1.0, 0.0)
+STEP_M = 0.02  # at which is looked along an edge for what hides it
 ROUNDING = 1e-9  # of a facet or an edge, by which what is seen is widened: the exact test comes later
 
 
@@ -31,6 +33,8 @@ class Reflectors(NamedTuple):
     first: I64  # (P + 1,): facets of plane p are facet[first[p]:first[p + 1]]
     facet: I64  # (Q,)
     corner: F64  # (Q, 4, 3) of these facets: a triangle's last twice
+    axis: F64  # (P, 2, 3) of each plane, at right angles in it
+    box: F64  # (Q, 4) of these facets: lowest and highest place along the first axis of the plane, and along the second
     most: F64  # (F, P, L): largest factor of the field at a carrier where the angle's cosine is l/L or more
 
 
@@ -84,12 +88,28 @@ def _share(dual: F64, x: F64, weight: float) -> float:
     return dual[0] * x[0] + dual[1] * x[1] + dual[2] * x[2] - dual[3] * weight
 
 
+@part
+def _extent(axis: F64, span: Span, point: F64, weight: F64) -> Span:
+    """Lowest and highest place along an axis of the ends of a span, a little widened."""
+    here = axis[0] * point[0, 0] + axis[1] * point[0, 1] + axis[2] * point[0, 2]
+    there = axis[0] * point[1, 0] + axis[1] * point[1, 1] + axis[2] * point[1, 2]
+    start = ((1.0 - span[0]) * here + span[0] * there) / ((1.0 - span[0]) * weight[0] + span[0] * weight[1])
+    end = ((1.0 - span[1]) * here + span[1] * there) / ((1.0 - span[1]) * weight[0] + span[1] * weight[1])
+    return min(start, end) - 1e-6, max(start, end) + 1e-6
+
+
 @bare
 def _seen_through(facets: Facets, mirrors: Reflectors, p: int, span: Span, point: F64, weight: F64) -> Span:
     """The part of a span whose points, in homogeneous coordinates at 0 and 1, lie in the facets of plane p."""
     low, high = NOTHING
     face, slack0, slack1 = facets.face, ROUNDING * weight[0], ROUNDING * weight[1]
+    low_u, high_u = _extent(mirrors.axis[p, 0], span, point, weight)
+    low_v, high_v = _extent(mirrors.axis[p, 1], span, point, weight)
     for i in range(mirrors.first[p], mirrors.first[p + 1]):
+        if mirrors.box[i, 0] > high_u or mirrors.box[i, 1] < low_u:
+            continue
+        if mirrors.box[i, 2] > high_v or mirrors.box[i, 3] < low_v:
+            continue
         q = mirrors.facet[i]
         dual_u, dual_v = face[q, 4:8], face[q, 8:12]
         u0, u1 = _share(dual_u, point[0], weight[0]), _share(dual_u, point[1], weight[1])
@@ -195,6 +215,16 @@ def _mirrored(facets: Facets, p: int, x: F64, out: F64) -> None:
         out[c] = x[c] - 2.0 * gap * facets.normal[c, p]
 
 
+@part
+def _is_free(wedges: Wedges, e: int, x: F64) -> bool:
+    """Whether a point is in front of one of the two faces at an edge."""
+    front = front_n = 0.0
+    for c in range(3):
+        front += (x[c] - wedges.start[e, c]) * wedges.normal[e, c]
+        front_n += (x[c] - wedges.start[e, c]) * wedges.normal_n[e, c]
+    return front >= 0.0 or front_n > 0.0
+
+
 @bare
 def _look(search: Search, n: int, num: int) -> int:
     """Add the edges that the points see over n planes to those found, `num` until now; how many there are then.
@@ -207,8 +237,10 @@ def _look(search: Search, n: int, num: int) -> int:
         low, high, row = 2.0, -1.0, min(num, found.edge.shape[0] - 1)
         for o in range(images.shape[0]):
             image = images[o, n]
+            if not _is_free(wedges, e, image):
+                continue
             seen = _seen(facets, mirrors, wedges, e, sequence, n, images[o], work)
-            if seen[0] > seen[1] or polar(wedges, e, image)[2] >= wedges.angle[e]:
+            if seen[0] > seen[1]:
                 continue
             if low > high:
                 for c in range(3):
@@ -306,3 +338,31 @@ def find_sides(facets: Facets, mirrors: Reflectors, wedges: Wedges, points: F64,
 
 
 sides_of = within(find_sides)
+
+
+@entry
+def open_spans(facets: Facets, wedges: Wedges, sides: Sides, offset: F64, max_depth: int, first: int, last: int) -> F64:
+    """The parts (n, 2) of their edges that sides `first` to `last` see past all facets, reversed where there is none.
+
+    Points `STEP_M` apart are looked at from each offset (O, 3) of the end; what is open reaches a step farther.
+    """
+    walk, spans = new_walk(MAX_SIDE_PLANES, 1, 1, np.zeros(3)), np.empty((last - first, 2))
+    for s in range(first, last):
+        e, low, high = sides.edge[s], FAR, -FAR
+        path = Path(sides.length[s], sides.plane[s], sides.image[s], sides.mirror[s])
+        walk.limit[0] = max_depth - 1 - path.length
+        for c in range(3):
+            walk.edge[0, c] = wedges.start[e, c]
+            walk.edge[1, c] = wedges.start[e, c] + wedges.length[e] * wedges.along[e, c]
+        number = 1 + math.ceil((sides.span[s, 1] - sides.span[s, 0]) / STEP_M)
+        for i in range(number + 1):
+            z = sides.span[s, 0] + (sides.span[s, 1] - sides.span[s, 0]) * i / number
+            for c in range(3):
+                walk.start[0, c] = wedges.start[e, c] + z * wedges.along[e, c]
+            for o in range(len(offset)):
+                if follow(facets, path, offset[o : o + 1], False, LONE, walk) == EVERYWHERE:
+                    low, high = min(low, z), max(high, z)
+                    break
+        spans[s - first, 0] = max(sides.span[s, 0], low - STEP_M)
+        spans[s - first, 1] = min(sides.span[s, 1], high + STEP_M)
+    return spans
