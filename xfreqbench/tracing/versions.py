@@ -7,8 +7,9 @@ from importlib import metadata
 from xfreqbench.tracing.tracer import SolverName
 
 # Of what a channel is, whichever solver traces it; raised where channels change by more than 1e-3. Version 1 dropped
-# paths with a stretch under 1 cm, and interpolated near ones over the array.
-PHYSICS_VERSION = "2"
+# paths with a stretch under 1 cm, and interpolated near ones over the array. In version 2 the field jumped at corners
+# of walls that are seen from inside and outside.
+PHYSICS_VERSION = "3"
 
 
 def software_versions(solver: SolverName) -> dict[str, str]:

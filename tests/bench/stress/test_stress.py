@@ -13,6 +13,7 @@ from xfreqbench.bench.stress import run as stress
 from xfreqbench.bench.stress.case import StressCase
 from xfreqbench.errors import UnknownNameError
 from xfreqbench.runs.records import read
+from xfreqbench.scene.toml_files import shipped_scenes
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -26,7 +27,11 @@ def warning() -> float:
     return 0.0
 
 
-@pytest.mark.parametrize("case", stress.cases(), ids=lambda case: f"{case.area}: {case.name}")
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, marks=[pytest.mark.slow] * (case.area == "continuity")) for case in stress.cases()],
+    ids=lambda case: f"{case.area}: {case.name}",
+)
 def test_the_code_keeps_to_its_reference(case: StressCase) -> None:
     verdict = case.judge()
     assert verdict.is_within, f"{verdict.error} {case.unit}, limit {case.limit}; {verdict.fault}"
@@ -37,6 +42,7 @@ def test_every_area_is_there_and_every_name_once() -> None:
     assert len(names) >= 40
     assert set(names.values()) == {1}
     areas = {area for area, _ in names}
+    assert sum(area == "continuity" for area, _ in names) == len(shipped_scenes())
     assert {"phase", "maps", "composite", "footprints", "materials", "geometry"} < areas
 
 

@@ -209,6 +209,16 @@ def test_an_element_hears_what_a_receiver_in_its_place_hears(room: Scene, rows: 
         np.testing.assert_allclose(array[:, element], own, rtol=0, atol=1e-9 * np.abs(own).max())
 
 
+def test_with_weak_paths_left_out_an_element_hears_what_a_lone_one_does_to_a_thousandth(room: Scene) -> None:
+    tx_m, settings = random_places_m(12, 7), replace(DIFFRACTING, rays=200_000)
+    array = ImageTracer(room, [24.25e9], settings, EXACT).channel(tx_m).cfr[:, 0]
+    places_m = room.receiver.element_position_m(SPEED_OF_LIGHT_M_S / 24.25e9)
+    strength = np.sqrt((np.abs(array) ** 2).mean(axis=1))
+    for element in (0, 6, 15):
+        own = ImageTracer(lone(room, places_m[element]), [24.25e9], settings, EXACT).channel(tx_m).cfr[:, 0, 0]
+        assert (np.abs(array[:, element] - own) / strength).max() < 1e-3
+
+
 def test_the_paths_of_a_furnished_room_add_up_to_its_channel(room: Scene) -> None:
     tracer = ImageTracer(lone(room, np.array(RECEIVER.position_m)), CARRIERS_HZ, replace(DIFFRACTING, rays=20_000))
     num_diffracted = 0

@@ -9,25 +9,31 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, TypeVar
 
-ErrorFunction = TypeVar("ErrorFunction", bound=Callable[..., float])
+Found = float | tuple[float, str]
+ErrorFunction = TypeVar("ErrorFunction", bound=Callable[..., Found])
 
 
 @dataclass(frozen=True)
 class StressCase:
-    """`run` returns the error of the code against an independent reference, in `unit`; it may be `limit` at most."""
+    """`run` returns the error of the code against an independent reference, in `unit`; it may be `limit` at most.
+
+    It may return a remark too: where the error is largest.
+    """
 
     name: str
     area: str
     limit: float
     unit: str
-    run: Callable[[], float]
+    run: Callable[[], Found]
 
     def judge(self) -> Verdict:
         """The verdict after one run; an exception or a warning fails the case and does not stop the others."""
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
-                return Verdict(self, float(self.run()))
+                found = self.run()
+                error, remark = found if isinstance(found, tuple) else (found, "")
+                return Verdict(self, float(error), remark=remark)
         except Exception as error:
             return Verdict(self, math.nan, f"{type(error).__name__}: {error}")
 
@@ -39,6 +45,7 @@ class Verdict:
     case: StressCase
     error: float
     fault: str = ""
+    remark: str = ""
 
     @property
     def is_within(self) -> bool:
@@ -47,8 +54,8 @@ class Verdict:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """A row of the table: area, case, error, limit, unit, and `ok` or what failed."""
-        outcome = "ok" if self.is_within else " ".join(f"FAILED {self.fault}".split())
+        """A row of the table: area, case, error, limit, unit, and `ok` or what failed, with the remark."""
+        outcome = " ".join(f"{'ok' if self.is_within else 'FAILED'} {self.fault} {self.remark}".split())
         error, limit = f"{self.error:.1e}", f"{self.case.limit:.1e}"
         return self.case.area, self.case.name, error, limit, self.case.unit, outcome
 

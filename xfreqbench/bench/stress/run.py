@@ -13,14 +13,16 @@ _NOTE = "Errors against references that share constants, and no code, with what 
 def cases() -> tuple[StressCase, ...]:
     """All cases, area by area."""
     from xfreqbench.bench.stress.channels import MATERIALS, PHASE
+    from xfreqbench.bench.stress.continuity import CONTINUITY
     from xfreqbench.bench.stress.diffraction import DIFFRACTION
     from xfreqbench.bench.stress.geometry import GEOMETRY
     from xfreqbench.bench.stress.maps import MAPS
     from xfreqbench.bench.stress.splatting import COMPOSITE, FOOTPRINTS, PROJECTION
     from xfreqbench.bench.stress.training import ENCODING, TRAINING
 
-    physics, learning = (PHASE, MATERIALS, GEOMETRY, DIFFRACTION, MAPS), (COMPOSITE, FOOTPRINTS, PROJECTION)
-    return tuple(case for area in (*physics, *learning, ENCODING, TRAINING) for case in area.cases)
+    physics = PHASE, MATERIALS, GEOMETRY, DIFFRACTION, CONTINUITY, MAPS
+    learning = COMPOSITE, FOOTPRINTS, PROJECTION, ENCODING, TRAINING
+    return tuple(case for area in (*physics, *learning) for case in area.cases)
 
 
 def selected(only: str | None) -> tuple[StressCase, ...]:

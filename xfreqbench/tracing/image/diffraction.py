@@ -17,10 +17,16 @@ from xfreqbench.scene.meshes import triangle_corners_m
 from xfreqbench.tracing.image.edges import Edge, find_edges
 from xfreqbench.tracing.image.kernels.arrays import NUM_CHUNKS, CentrePath, Facets, Media, SceneArrays, Sums
 from xfreqbench.tracing.image.kernels.compiled import on_threads
-from xfreqbench.tracing.image.kernels.edge_paths import EdgeContext, Limits, add_over_edges, paths_over_edges
+from xfreqbench.tracing.image.kernels.edge_paths import (
+    ARRAY_REACH,
+    EdgeContext,
+    Limits,
+    add_over_edges,
+    paths_over_edges,
+)
 from xfreqbench.tracing.image.kernels.edge_sides import Reflectors, Sides, find_sides, open_spans
 from xfreqbench.tracing.image.kernels.slabs import stack_coefficients
-from xfreqbench.tracing.image.kernels.wedges import Wedges
+from xfreqbench.tracing.image.kernels.wedges import SCREEN_RAD, Wedges
 from xfreqbench.tracing.image.surfaces import MirrorPlanes
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
@@ -54,12 +60,14 @@ class Diffraction:
         is_opaque = np.zeros(len(geometry.meshes), bool)
         is_opaque[surface] = facets.is_opaque
         are_turned = np.array([edge.are_turned for edge in edges], np.int64).reshape(-1, 2)
-        wedges = _wedges(edges, kind[are_turned, faces], np.asarray(is_opaque[faces].any(axis=1)))
+        slab = np.stack([kind[are_turned, faces], kind[1 - are_turned, faces]], axis=2)
+        wedges = _wedges(edges, slab, is_opaque[faces], limits.max_depth)
         reflectors = _reflectors(mirrors, facets, corners_m, scene.media)
-        sides = find_sides(facets, reflectors, wedges, points_m, limits.max_planes)
+        sides = find_sides(facets, reflectors, wedges, 1 + wedges.has_inside, points_m, limits.max_planes)
         wedges, sides, is_seen = _seen(facets, wedges, sides, points_m - points_m[0], limits.max_depth)
         self._surfaces = surface, faces[is_seen, 0].copy()
-        self.room, self._sought = EdgeContext(scene, wedges, reflectors), (sides, limits)
+        ends = _ends_for(sides, wedges, scene.aperture.radius_m)
+        self.room, self._sought = EdgeContext(scene, wedges, reflectors, ends), (sides, limits)
 
     def in_scene(self, scene: SceneArrays) -> Diffraction:
         """The same edges for a scene that differs in its antennas alone."""
@@ -67,27 +75,46 @@ class Diffraction:
         other.room = self.room._replace(scene=scene)
         return other
 
-    def add_channel(
-        self, tx_m: Float[FloatArray, "3"], floor: Float[FloatArray, "F"], sums: Sums, num_paths: NDArray[np.int32]
-    ) -> None:
+    def add_channel(self, tx_m: Float[FloatArray, "3"], floor: float, sums: Sums, num_paths: NDArray[np.int32]) -> None:
         """Add the channel (F, M) over edges to that of all other paths of a transmitter, carriers ascending.
 
         Paths that a bound shows to be weaker than `floor`, amplitude over wavelength in 1/m, are skipped.
         """
         add_over_edges(self.room, *self._sought, tx_m[None], floor, sums, num_paths)
 
-    def paths(self, tx_m: Float[FloatArray, "3"], floor: Float[FloatArray, "F"]) -> list[CentrePath]:
+    def paths(self, tx_m: Float[FloatArray, "3"], floor: float) -> list[CentrePath]:
         """The paths to the array centre that `add_channel` adds; carriers ascend."""
         return paths_over_edges(self.room, *self._sought, *self._surfaces, tx_m[None], floor)
 
 
-def _wedges(edges: list[Edge], slab: Int[IntArray, "E 2"], is_opaque: Bool[NDArray[np.bool_], "E"]) -> Wedges:
+def _wedges(
+    edges: list[Edge], slab: Int[IntArray, "E 2 2"], is_opaque: Bool[NDArray[np.bool_], "E 2"], max_depth: int
+) -> Wedges:
     """Edges as the kernels take them."""
     angle_rad = np.array([edge.angle_rad for edge in edges])
     start_m, along, tangent, normal = (np.array([edge[i] for edge in edges]).reshape(-1, 3) for i in range(4))
-    normal_n = np.sin(angle_rad)[:, None] * tangent - np.cos(angle_rad)[:, None] * normal
     length_m = np.array([edge.length_m for edge in edges])
-    return Wedges(start_m, along, tangent, normal, normal_n, length_m, angle_rad, slab, is_opaque)
+    inside_rad = 2 * np.pi - angle_rad
+    num_turns = np.minimum(np.ceil(np.pi / np.maximum(inside_rad, SCREEN_RAD) - 1e-6) - 1, max_depth).astype(np.int64)
+    num_turns[inside_rad < SCREEN_RAD] = 1
+    num_turns[is_opaque.all(axis=1)] = 0
+    has_inside = (inside_rad > SCREEN_RAD) & (~is_opaque.all(axis=1) | (inside_rad > np.pi / 2 + SCREEN_RAD))
+    return Wedges(
+        start_m, along, tangent, normal, length_m, angle_rad, slab, np.asarray(is_opaque), num_turns, has_inside
+    )
+
+
+def _ends_for(sides: Sides, wedges: Wedges, radius_m: float) -> Int[IntArray, "E"]:
+    """Which other ends count at each edge, for `Search`: none where the array does not see it, those outside of its
+    wedge where the whole array is inside, with no term for two ends inside.
+    """
+    free_rad = wedges.angle[sides.edge]
+    distance_m, _, phi_rad = sides.polar.T
+    is_inside = np.minimum(phi_rad - free_rad, 2 * np.pi - phi_rad) * distance_m > ARRAY_REACH * radius_m
+    counts_inside = wedges.has_inside[sides.edge] & ~(is_inside & (free_rad > 1.5 * np.pi - SCREEN_RAD))
+    ends = np.zeros(len(wedges.length), np.int64)
+    np.maximum.at(ends, sides.edge, 1 + counts_inside)
+    return ends
 
 
 def _seen(

@@ -34,7 +34,7 @@ from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image.diffraction import Diffraction
 from xfreqbench.tracing.image.diffuse import DiffuseReflection
-from xfreqbench.tracing.image.kernels.arrays import SIMD_WIDTH, AntennaArrays, Aperture, Media, SceneArrays, Sums
+from xfreqbench.tracing.image.kernels.arrays import SIMD_WIDTH, AntennaArrays, Aperture, Media, SceneArrays
 from xfreqbench.tracing.image.kernels.channels import add_channel, paths_to_centre
 from xfreqbench.tracing.image.kernels.compiled import on_threads
 from xfreqbench.tracing.image.kernels.edge_paths import Limits
@@ -59,9 +59,9 @@ class ImageSavings:
     path (not its phase) is computed at `field_nodes_per_axis`² points of the array and interpolated between
     them, which changes the answer; 4 on a 4×4 array computes it at every element. With diffraction, paths with
     more than `diffraction_planes` reflections (up to 3) on either side of the edge are left out, and those that a
-    bound shows to be weaker than `diffraction_floor` times a transmitter's strongest element without edges. With
-    diffuse reflection, paths with more than `diffuse_mirrors` specular reflections (up to 1) are left out. Tiles are at
-    most `diffuse_tile_m` long, and `diffuse_tile_rad` as the array sees them; four times that with a mirror.
+    bound shows to be weaker than `diffraction_floor` times free space; up to twice that they fade in. With diffuse
+    reflection, paths with more than `diffuse_mirrors` specular reflections (up to 1) are left out. Tiles are at most
+    `diffuse_tile_m` long, and `diffuse_tile_rad` as the array sees them; four times that with a mirror.
     """
 
     prune: bool = True
@@ -69,7 +69,7 @@ class ImageSavings:
     field_nodes_per_axis: int = 2
     max_reflections: int | None = None
     diffraction_planes: int = 1
-    diffraction_floor: float = 0.003
+    diffraction_floor: float = 1e-4
     diffuse_mirrors: int = 1
     diffuse_tile_m: float = 0.25
     diffuse_tile_rad: float = 0.15
@@ -128,8 +128,7 @@ class ImageTracer:
         origins_m, most = np.unique(points_m, axis=0), savings.max_reflections
         sequences = sequences_of(self.facets, len(mirrors.planes), origins_m, settings, most)
         self._trie = trie_of(*sequences, mirrors, receiver_m, aperture)
-        # of the transmitters asked for last: the least amplitude over wavelength of a path over an edge
-        self._floor_at: dict[bytes, FloatArray] = {}
+        self._receiver_m = receiver_m
         self.diffraction = None
         if "diffraction" in settings.named_interactions:
             can_reflect = "specular" in settings.named_interactions
@@ -160,7 +159,6 @@ class ImageTracer:
         ascending, shape = self.carrier_hz[self._order], self._scene.aperture.weight.shape
         other._media_at_centre, _ = _media_of(self._meshes, ascending, self.settings.materials, scene)
         other._scene = self._scene._replace(media=other._media_at_centre.in_lanes(*shape))
-        other._floor_at = {}
         if self.diffraction is not None:
             other.diffraction = self.diffraction.in_scene(other._scene)
         if self.diffuse is not None:
@@ -173,28 +171,24 @@ class ImageTracer:
         tx = np.ascontiguousarray(tx_position_m, dtype=np.float64)
         shape = len(tx), len(self.carrier_hz), self._scene.aperture.element_m.shape[2]
         real, imag, num_paths = np.zeros(shape), np.zeros(shape), np.zeros(shape[:2], np.int32)
-        floors = np.zeros(shape[:2])
 
         def add(i: int) -> None:
             sums = real[i], imag[i]
-            floors[i] = self._add_plain(tx[i], sums, num_paths[i])
+            limits = self.settings.max_depth, self.savings.share_visibility
+            add_channel(self._scene, self._trie, tx[i], *limits, sums, num_paths[i])
             if self.diffraction is not None:
-                self.diffraction.add_channel(tx[i], floors[i], sums, num_paths[i])
+                self.diffraction.add_channel(tx[i], self._floor(tx[i]), sums, num_paths[i])
             if self.diffuse is not None:
                 self.diffuse.add_channel(tx[i], sums, num_paths[i])
 
         on_threads(add, len(tx), "transmitters")
-        self._floor_at = dict(zip(map(bytes, tx), floors, strict=True))
         cfr, original = real + 1j * imag, np.argsort(self._order)
         return Channel(cfr[:, original], num_paths[:, original])
 
-    def _add_plain(self, tx_m: Float[FloatArray, "3"], sums: Sums, num_paths: NDArray[np.int32]) -> FloatArray:
-        """Add the channel (F, M) without edges to `sums`, and return the amplitude over λ that edges have to reach."""
-        limits = self.settings.max_depth, self.savings.share_visibility
-        add_channel(self._scene, self._trie, tx_m, *limits, sums, num_paths)
-        strongest = np.hypot(*sums).max(axis=1)
-        share = self.savings.diffraction_floor / self._most_antennas
-        return np.asarray(share * strongest / self._scene.aperture.wavelength_m)
+    def _floor(self, tx_m: Float[FloatArray, "3"]) -> float:
+        """The least amplitude over wavelength, in 1/m, of a path over an edge, the antennas left out."""
+        distance_m = max(float(np.linalg.norm(tx_m - self._receiver_m)), 1e-3)
+        return self.savings.diffraction_floor / (4 * np.pi * distance_m * self._most_antennas)
 
     @checked
     def paths(self, tx_position_m: Position) -> Paths:
@@ -202,12 +196,7 @@ class ImageTracer:
         tx, depth = np.ascontiguousarray(tx_position_m, dtype=np.float64), self.settings.max_depth
         found = paths_to_centre(self.facets, self._media_at_centre, self._trie, self._surface, tx, depth)
         if self.diffraction is not None:
-            floor = self._floor_at.get(bytes(tx))
-            if floor is None:
-                shape = self._scene.aperture.element_m.shape
-                sums = np.zeros((shape[0], shape[2])), np.zeros((shape[0], shape[2]))
-                floor = self._add_plain(tx, sums, np.zeros(shape[0], np.int32))
-            found += self.diffraction.paths(tx, floor)
+            found += self.diffraction.paths(tx, self._floor(tx))
         if self.diffuse is not None:
             found += self.diffuse.paths(tx)
         found.sort(key=lambda path: path[1])

@@ -26,7 +26,7 @@ Vector = tuple[float, float, float]
 # (D,), padded with −1, and where they happen (D, 3), padded with NaN.
 CentrePath = tuple[C128, float, F64, I64, I64, F64]
 
-MIN_SEGMENT_M = 1e-6  # a path with a shorter stretch is an artefact of rounding, at an edge or in a corner
+MIN_SEGMENT_M = 1e-9  # a path with a shorter stretch is an artefact of rounding, at an edge or in a corner
 FAR = 1e30  # where a ray meets nothing
 MAX_CROSSED = 16  # slabs on one segment; a path that crosses more is dropped, but is deeper than the limit
 MAX_BOXES = 256  # on the stack of boxes still to look into

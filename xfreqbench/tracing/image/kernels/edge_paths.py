@@ -18,12 +18,14 @@ from xfreqbench.tracing.paths import DIFFRACTION
 from .arrays import BLOCK, C128, F64, I32, I64, CentrePath, Path, SceneArrays, Sums, Walk, new_walk
 from .bundles import EVERYWHERE, MIXED, NOWHERE, follow
 from .channels import list_interactions, met_of
-from .compiled import bare, entry, lane, whole
+from .compiled import bare, entry, lane, part, whole
 from .edge_sides import MAX_SIDE_PLANES, Reflectors, Sides, sides_of
 from .fields import antenna_field, antenna_of, element_gain, specular_share
 from .slabs import cosine_and_sine, reflect, transmit
 from .tree import CORNERS, LONE, QUAD, Bundle
-from .wedges import Polar, Wedges, diffract, edge_point, off_boundary, place, polar
+from .wedges import Polar, Wedges, diffract, edge_point, off_boundary, place, polar, terms_of, unfolded
+
+ARRAY_REACH = 1.6  # π/2 and some: an arc about an edge, over its array's radius, beyond which the array has one side
 
 
 class EdgeContext(NamedTuple):
@@ -32,6 +34,7 @@ class EdgeContext(NamedTuple):
     scene: SceneArrays
     wedges: Wedges
     mirrors: Reflectors
+    ends: I64  # (E,): which transmitters count at each edge; see `edge_sides.Search`
 
 
 class _EdgePath(NamedTuple):
@@ -62,11 +65,11 @@ class Work(NamedTuple):
     waves: F64  # (2, 3): unit vectors from the ends to the point
     fields: C128  # (2, 3): that they bring there
     gains: C128  # (M,)
-    vectors: F64  # (6, 3)
+    vectors: F64  # (3, 3)
     zeros: F64  # (4, 3)
     four: F64  # (4, 3): offsets of elements
     most: F64  # (F,): bounds of a path's amplitude over its wavelength, in 1/m
-    floor: F64  # (F,): the least with which it is added
+    floor: F64  # (1,): the least with which it is added
 
 
 @whole
@@ -79,11 +82,11 @@ def _new_work(num_elements: int, num_carriers: int) -> Work:
         np.zeros((2, 3)),
         np.zeros((2, 3), np.complex128),
         np.zeros(num_elements, np.complex128),
-        np.zeros((6, 3)),
+        np.zeros((3, 3)),
         np.zeros((4, 3)),
         np.zeros((4, 3)),
         np.zeros(num_carriers),
-        np.zeros(num_carriers),
+        np.zeros(1),
     )
 
 
@@ -103,6 +106,14 @@ def _end_at(side: Path, x: float, y: float, z: float, out: F64) -> None:
         out[c] = side.image[c] + side.mirror[c, 0] * x + side.mirror[c, 1] * y + side.mirror[c, 2] * z
 
 
+@part
+def _counts(wedges: Wedges, e: int, near_phi: float, phi: float) -> bool:
+    """Whether two ends at these angles about edge e, neither of them in a face, have a path over it."""
+    free, is_apart = wedges.angle[e], 0.0 < phi < 2.0 * math.pi
+    first, last, _ = terms_of(wedges, e, near_phi, phi)
+    return is_apart and phi != free and first < last and (wedges.has_inside[e] or (phi < free and near_phi < free))
+
+
 @bare
 def _meets(wedges: Wedges, e: int, near: Polar, far_end: F64) -> tuple[int, float]:
     """0 where the shortest way over edge e to an end meets the edge, else the bit of the reason why it does not.
@@ -110,7 +121,7 @@ def _meets(wedges: Wedges, e: int, near: Polar, far_end: F64) -> tuple[int, floa
     Also returned is where along the edge it does, in metres.
     """
     far = polar(wedges, e, far_end)
-    if far[0] <= 1e-9 or far[2] <= 0.0 or far[2] >= wedges.angle[e]:  # not in the free space around the edge
+    if far[0] <= 1e-9 or not _counts(wedges, e, near[2], far[2]):
         return 1, 0.0
     z = edge_point(near, far)
     if z < 0.0:
@@ -126,18 +137,21 @@ def _reach(context: EdgeContext, path: _EdgePath, offset_m: F64, max_depth: int,
     `work`.
     """
     facets, wedges, e, near = context.scene.facets, context.wedges, path.edge, path.near_polar
-    if near[0] <= 1e-9 or near[2] <= 0.0 or near[2] >= wedges.angle[e]:
+    if near[0] <= 1e-9 or near[2] == 0.0 or near[2] == wedges.angle[e]:
         return NOWHERE
-    num_met, common = 0, 7
+    num_met, num_inside, common = 0, 0, 7
     for k in range(len(bundle)):
         _end_at(path.far, offset_m[k, 0], offset_m[k, 1], offset_m[k, 2], work.end[1])
         reason, z = _meets(wedges, e, near, work.end[1])
         num_met += reason == 0
+        num_inside += polar(wedges, e, work.end[1])[2] > wedges.angle[e]
         common &= reason
         for c in range(3):
             work.near.start[k, c] = work.far.start[k, c] = wedges.start[e, c] + z * wedges.along[e, c]
     if num_met < len(bundle):
         return NOWHERE if common != 0 else MIXED
+    if 0 < num_inside < len(bundle):
+        return MIXED
     work.near.limit[0] = max_depth - 1 - path.near.length - path.far.length
     verdict = follow(facets, path.near, work.zeros, False, bundle, work.near)
     if verdict != EVERYWHERE:
@@ -198,10 +212,13 @@ def _gain(context: EdgeContext, path: _EdgePath, f: int, work: Work) -> complex:
         work.point[c] = wedges.start[e, c] + z * wedges.along[e, c]
     _carry(context.scene, path.near, work.near, work.end[0], lane, 0, work)
     _carry(context.scene, path.far, work.far, work.end[1], lane, 1, work)
+    num_left = work.far.limit[0] + 1  # of interactions, with the edge's own
+    for s in range(path.far.length + 1):
+        num_left -= work.far.num_crossed[s]
     size = 4.0 * math.pi / context.scene.aperture.wavelength_m[f] * before * after / (before + after)
     waves, fields = (work.waves[0], work.waves[1]), (work.fields[0], work.fields[1])
     root = math.sqrt(size) * near[0] / before
-    return diffract(wedges, media, e, f, waves, fields, (near[2], far[2]), root, work.vectors)
+    return diffract(wedges, media, e, f, waves, fields, (near[2], far[2]), root, num_left, work.vectors)
 
 
 @bare
@@ -244,33 +261,40 @@ def _gains(context: EdgeContext, path: _EdgePath, f: int, shift: float, work: Wo
 
 
 @bare
-def _bounds(angle: float, near: Polar, far: Polar, wavelength_m: F64, out: F64) -> None:
+def _bounds(wedges: Wedges, e: int, near: Polar, far: Polar, wavelength_m: F64, out: F64) -> None:
     """Write bounds (F,) of a diffracted path's amplitude over its wavelength, in 1/m, reflections left out.
 
-    Each of the four terms is at most 1, and at most its value by geometrical optics far off its boundary.
+    Each term is at most 1, and at most its value by geometrical optics far off its boundary.
     """
-    n, together = angle / math.pi, near[0] + far[0]
+    free, together, (first, last, n) = wedges.angle[e], near[0] + far[0], terms_of(wedges, e, near[2], far[2])
     length_m = math.hypot(together, near[1] - far[1])
     root = math.sqrt(4.0 * math.pi * math.pi * near[0] * far[0] / length_m)
     for f in range(out.shape[0]):
-        out[f] = 0.0
-    for i in range(4):
-        off = off_boundary(i, n, far[2], near[2])
+        out[f] = 0.0 if first < last else 1.0 / (4.0 * math.pi * length_m)
+    for term in range(first, last):
+        off = off_boundary(n, unfolded(free, term, near[2], far[2]))
         sine = abs(math.sin(n * off))
         share = min(1.0, sine / (n * abs(math.tan(off)) + 1e-30)) / (8.0 * math.pi * length_m)
-        share *= 1.0 if i > 1 else 2.0  # straight on, up to 1 − T, where faces let T through
         far_off = 1.0 / (root * sine + 1e-30)
         for f in range(out.shape[0]):
             out[f] += share * min(1.0, far_off * math.sqrt(wavelength_m[f]))
 
 
 @bare
-def _change(angle: float, near: Polar, far: Polar) -> float:
+def _change(wedges: Wedges, e: int, near: Polar, far: Polar) -> float:
     """By how much, relative to its size, the field changes where the far end moves by a metre; roughly."""
-    n, least = angle / math.pi, 1.0
-    for i in range(4):
-        least = min(least, 2.0 * n * abs(off_boundary(i, n, far[2], near[2])))
+    first, last, n = terms_of(wedges, e, near[2], far[2])
+    least = 1.0 if first < last else 0.0
+    for term in range(first, last):
+        least = min(least, 2.0 * n * abs(off_boundary(n, unfolded(wedges.angle[e], term, near[2], far[2]))))
     return 1.0 / (far[0] * least + 1e-30)
+
+
+@part
+def _fade(work: Work, f: int) -> float:
+    """The share of a path that is added at carrier f: less than 1 below twice the floor, so that none ends abruptly."""
+    above = work.most[f] - work.floor[0]
+    return 1.0 if above >= work.floor[0] else above / work.floor[0]
 
 
 @bare
@@ -280,19 +304,19 @@ def _add_path(context: EdgeContext, path: _EdgePath, limits: Limits, work: Work,
     A carrier at which the corners agree decides for all narrower apertures.
     """
     (real, imag), aperture, reached = sums, context.scene.aperture, MIXED
-    shift = _change(context.wedges.angle[path.edge], path.near_polar, path.far_polar)
+    shift = _change(context.wedges, path.edge, path.near_polar, path.far_polar)
     for f in range(num_paths.shape[0]):
-        if work.most[f] < work.floor[f]:
+        if work.most[f] < work.floor[0]:
             continue
         if limits.share and reached == MIXED:
             reached = _reach(context, path, aperture.corner_m[f], limits.max_depth, CORNERS, work)
         if reached == NOWHERE:
             break
-        is_heard, own_sums = False, (real[f], imag[f])
+        is_heard, own_sums, fade = False, (real[f], imag[f]), _fade(work, f)
         if reached == EVERYWHERE:
             _gains(context, path, f, shift, work)
             for m in range(real.shape[1]):
-                is_heard |= _add_element(context, path, f, m, work, own_sums)
+                is_heard |= _add_element(context, path, f, m, fade, work, own_sums)
         else:
             is_heard = _add_to_some(context, path, f, shift, limits.max_depth, work, own_sums)
         num_paths[f] += is_heard
@@ -305,9 +329,13 @@ def _add_to_some(
     """Add a path at carrier f to those of the elements that it reaches; False where it is heard at none.
 
     It is decided for each quad of neighbours at once, where they agree. Those whose paths meet the same have gains as
-    `_gains` computes them.
+    `_gains` computes them, unless the array reaches from one side of a face to the other.
     """
-    quads, is_heard, known = context.scene.quads, False, -1
+    quads, wedges, corner_m, num_inside = context.scene.quads, context.wedges, context.scene.aperture.corner_m[f], 0
+    for k in range(4):
+        _end_at(path.far, corner_m[k, 0], corner_m[k, 1], corner_m[k, 2], work.end[1])
+        num_inside += polar(wedges, path.edge, work.end[1])[2] > wedges.angle[path.edge]
+    is_heard, known, fade = False, -1, _fade(work, f)
     for b in range(quads.shape[0]):
         quad, reached = quads[b], MIXED
         for k in range(4):
@@ -324,30 +352,36 @@ def _add_to_some(
             if reached == MIXED and _reach(context, path, lone, max_depth, LONE, work) != EVERYWHERE:
                 continue
             met = (met_of(path.near.length, work.near) * 31 + met_of(path.far.length, work.far)) & 0x7FFF_FFFF_FFFF_FFFF
-            if met != known:
+            if 0 < num_inside < 4:
+                _end_at(path.far, lone[0, 0], lone[0, 1], lone[0, 2], work.end[1])
+                work.gains[m] = _gain(context, path, f, work)
+            elif met != known:
                 _gains(context, path, f, shift, work)
                 known = met
-            is_heard |= _add_element(context, path, f, m, work, sums)
+            is_heard |= _add_element(context, path, f, m, fade, work, sums)
     return is_heard
 
 
 @bare
-def _add_element(context: EdgeContext, path: _EdgePath, f: int, m: int, work: Work, sums: Sums) -> bool:
-    """Add a path, whose gain is in `work`, at element m to `sums` (M,) of carrier f; False where it has vanished."""
+def _add_element(context: EdgeContext, path: _EdgePath, f: int, m: int, fade: float, work: Work, sums: Sums) -> bool:
+    """Add a share of a path at element m to `sums` (M,) of carrier f; its gain is in `work`. False if it has vanished."""
     element_m, wavelength_m = context.scene.aperture.element_m, context.scene.aperture.wavelength_m[f]
     _end_at(path.far, element_m[f, 0, m], element_m[f, 1, m], element_m[f, 2, m], work.end[1])
     length_m = _length_over(context.wedges, path.edge, path.near_polar, work.end[1])
     cosine, sine = cosine_and_sine(length_m / wavelength_m)
-    factor = wavelength_m / (4.0 * math.pi * length_m) * complex(cosine, -sine) * work.gains[m]
+    factor = fade * wavelength_m / (4.0 * math.pi * length_m) * complex(cosine, -sine) * work.gains[m]
     sums[0][m] += factor.real
     sums[1][m] += factor.imag
     return factor != 0
 
 
 @bare
-def _meet(near: Sides, a: int, far: Sides, b: int, radius_m: float) -> bool:
-    """Whether the path over two sides meets the edge in the parts that they see, for ends within a radius."""
-    near_m, far_m = near.polar[a, 0], far.polar[b, 0]
+def _meet(wedges: Wedges, e: int, near: Sides, a: int, far: Sides, b: int, radius_m: float) -> bool:
+    """Whether the path over two sides meets edge e in the parts that they see, for ends within a radius."""
+    near_m, far_m, phi = near.polar[a, 0], far.polar[b, 0], far.polar[b, 2]
+    off_face = min(abs(phi - wedges.angle[e]), 2.0 * math.pi - phi)
+    if off_face * far_m > ARRAY_REACH * radius_m and not _counts(wedges, e, near.polar[a, 2], phi):
+        return False
     z_m = edge_point((near_m, near.polar[a, 1], 0.0), (far_m, far.polar[b, 1], 0.0))
     lean = abs(far.polar[b, 1] - near.polar[a, 1]) / (near_m + far_m)
     slack_m = 1.2 * radius_m * (1.0 + lean) + 1e-9
@@ -375,10 +409,10 @@ def _may_count(context: EdgeContext, path: _EdgePath, near_most: F64, far_most: 
     """
     most, is_any = work.most, False
     wavelength_m = context.scene.aperture.wavelength_m
-    _bounds(context.wedges.angle[path.edge], path.near_polar, path.far_polar, wavelength_m, most)
+    _bounds(context.wedges, path.edge, path.near_polar, path.far_polar, wavelength_m, most)
     for f in range(most.shape[0]):
         most[f] *= near_most[f] * far_most[f]
-        is_any |= most[f] >= work.floor[f]
+        is_any |= most[f] >= work.floor[0]
     return is_any
 
 
@@ -395,7 +429,7 @@ def _add_all(
                 work.end[0, c] = near.image[a, c]
             for b in range(far.first[e], far.first[e + 1]):
                 is_deep = near.length[a] + far.length[b] >= limits.max_depth
-                if is_deep or not _meet(near, a, far, b, radius_m):
+                if is_deep or not _meet(context.wedges, e, near, a, far, b, radius_m):
                     continue
                 path = _path_over(e, near, a, far, b)
                 if _may_count(context, path, near.most[a], far.most[b], work):
@@ -404,38 +438,38 @@ def _add_all(
 
 @entry
 def add_over_edges(
-    context: EdgeContext, far: Sides, limits: Limits, tx: F64, floor: F64, sums: Sums, num_paths: I32
+    context: EdgeContext, far: Sides, limits: Limits, tx: F64, floor: float, sums: Sums, num_paths: I32
 ) -> None:
     """Add the channel (F, M) over edges of the transmitter at `tx` (1, 3) to `sums`, which hold that of other paths.
 
     The numbers of its paths are added to `num_paths` (F,). `far` is how the array sees the edges. Paths that a bound
-    shows to be weaker than `floor` (F,), amplitude over wavelength in 1/m, are skipped.
+    shows to be weaker than `floor`, amplitude over wavelength in 1/m, are skipped.
     """
-    near = sides_of(context.scene.facets, context.mirrors, context.wedges, tx, limits.max_planes)
-    work = _new_work(sums[0].shape[1], len(floor))
-    work.floor[:] = floor
+    near = sides_of(context.scene.facets, context.mirrors, context.wedges, context.ends, tx, limits.max_planes)
+    work = _new_work(sums[0].shape[1], num_paths.shape[0])
+    work.floor[0] = floor
     _add_all(context, near, far, limits, work, sums, num_paths)
 
 
 @entry
 def paths_over_edges(
-    context: EdgeContext, far: Sides, limits: Limits, surface: I64, edge_surface: I64, tx: F64, floor: F64
+    context: EdgeContext, far: Sides, limits: Limits, surface: I64, edge_surface: I64, tx: F64, floor: float
 ) -> list[CentrePath]:
     """Paths over edges from the transmitter at `tx` (1, 3) to the array centre, those that `add_over_edges` adds.
 
     `surface` (Q,) is the mesh of each facet, `edge_surface` (E,) that of a face of each edge. The gain is 0 at carriers
     at which the path is skipped.
     """
-    near = sides_of(context.scene.facets, context.mirrors, context.wedges, tx, limits.max_planes)
+    near = sides_of(context.scene.facets, context.mirrors, context.wedges, context.ends, tx, limits.max_planes)
     num_carriers, depth = context.scene.aperture.wavelength_m.shape[0], limits.max_depth
     work, centre, reached = _new_work(1, num_carriers), np.zeros((1, 3)), []
-    work.floor[:] = floor
+    work.floor[0] = floor
     for e in range(context.wedges.length.shape[0]):
         _begin_at(context.wedges, e, work)
         for a in range(near.first[e], near.first[e + 1]):
             work.end[0] = near.image[a]
             for b in range(far.first[e], far.first[e + 1]):
-                if near.length[a] + far.length[b] >= depth or not _meet(near, a, far, b, 0.0):
+                if near.length[a] + far.length[b] >= depth or not _meet(context.wedges, e, near, a, far, b, 0.0):
                     continue
                 path = _path_over(e, near, a, far, b)
                 if not _may_count(context, path, near.most[a], far.most[b], work):
@@ -448,8 +482,8 @@ def paths_over_edges(
                 list_interactions(work.far, path.far.length, False, at + 1, surface, code, met, point)
                 gain = np.zeros(num_carriers, np.complex128)
                 for f in range(num_carriers):
-                    if work.most[f] >= work.floor[f]:
-                        gain[f] = _gain(context, path, f, work)
+                    if work.most[f] >= work.floor[0]:
+                        gain[f] = _fade(work, f) * _gain(context, path, f, work)
                 length_m = _length_over(context.wedges, e, path.near_polar, work.end[1])
                 way = work.far.vertex[0, path.far.length] - work.far.vertex[0, path.far.length + 1]
                 reached.append((gain, length_m, way / np.linalg.norm(way), code, met, point))

@@ -58,6 +58,7 @@ class Search(NamedTuple):
     facets: Facets
     mirrors: Reflectors
     wedges: Wedges
+    ends: I64  # (E,): whether no points count at an edge, 0, those outside of its wedge, 1, or those inside too, 2
     found: Sides
     images: F64  # (O, MAX_SIDE_PLANES + 1, 3) of the points over the first planes of the sequence
     sequence: I64  # (MAX_SIDE_PLANES + 1,) planes
@@ -215,29 +216,21 @@ def _mirrored(facets: Facets, p: int, x: F64, out: F64) -> None:
         out[c] = x[c] - 2.0 * gap * facets.normal[c, p]
 
 
-@part
-def _is_free(wedges: Wedges, e: int, x: F64) -> bool:
-    """Whether a point is in front of one of the two faces at an edge."""
-    front = front_n = 0.0
-    for c in range(3):
-        front += (x[c] - wedges.start[e, c]) * wedges.normal[e, c]
-        front_n += (x[c] - wedges.start[e, c]) * wedges.normal_n[e, c]
-    return front >= 0.0 or front_n > 0.0
-
-
 @bare
 def _look(search: Search, n: int, num: int) -> int:
     """Add the edges that the points see over n planes to those found, `num` until now; how many there are then.
 
     Bounds are those of the first point that sees an edge. Those for which there is no room overwrite the last.
     """
-    facets, mirrors, wedges, found, images, sequence, work = search
-    ends, way = work[3:5], work[5:7]
+    facets, mirrors, wedges, ends, found, images, sequence, work = search
+    part_ends, way = work[3:5], work[5:7]
     for e in range(wedges.length.shape[0]):
+        if ends[e] == 0:
+            continue
         low, high, row = 2.0, -1.0, min(num, found.edge.shape[0] - 1)
         for o in range(images.shape[0]):
             image = images[o, n]
-            if not _is_free(wedges, e, image):
+            if ends[e] == 1 and polar(wedges, e, image)[2] >= wedges.angle[e]:
                 continue
             seen = _seen(facets, mirrors, wedges, e, sequence, n, images[o], work)
             if seen[0] > seen[1]:
@@ -245,8 +238,8 @@ def _look(search: Search, n: int, num: int) -> int:
             if low > high:
                 for c in range(3):
                     for i in range(2):
-                        ends[i, c] = wedges.start[e, c] + seen[i] * wedges.length[e] * wedges.along[e, c]
-                _most(facets, mirrors, ends, sequence, n, image, way, found.most[row])
+                        part_ends[i, c] = wedges.start[e, c] + seen[i] * wedges.length[e] * wedges.along[e, c]
+                _most(facets, mirrors, part_ends, sequence, n, image, way, found.most[row])
             low, high = min(low, seen[0]), max(high, seen[1])
         if low > high:
             continue
@@ -266,7 +259,7 @@ def _look(search: Search, n: int, num: int) -> int:
 @bare
 def _search(search: Search, max_planes: int) -> int:
     """Find all sides of the points over at most `max_planes` planes; how many there are, with room for them or not."""
-    facets, mirrors, _, _, images, sequence, _ = search
+    facets, mirrors, images, sequence = search.facets, search.mirrors, search.images, search.sequence
     level, num_points = 0, images.shape[0]
     none: Any = np.int64(0)  # no literal, as in later calls, so that it is compiled for one type
     num = _look(search, none, none)
@@ -309,10 +302,11 @@ def _new_sides(num: int, num_carriers: int) -> Sides:
 
 
 @entry
-def find_sides(facets: Facets, mirrors: Reflectors, wedges: Wedges, points: F64, max_planes: int) -> Sides:
+def find_sides(facets: Facets, mirrors: Reflectors, wedges: Wedges, ends: I64, points: F64, max_planes: int) -> Sides:
     """How points (O, 3) that are close together see all edges over at most `max_planes` planes.
 
-    Images are those of the first point; a part of an edge counts as seen where one of the points sees it.
+    Images are those of the first point; a part of an edge counts as seen where one of the points sees it. `ends` (E,)
+    are those of `Search`.
     """
     images, sequence = np.empty((len(points), MAX_SIDE_PLANES + 1, 3)), np.full(MAX_SIDE_PLANES + 1, -1)
     images[:, 0] = points
@@ -320,7 +314,8 @@ def find_sides(facets: Facets, mirrors: Reflectors, wedges: Wedges, points: F64,
     while num > room:  # the first time, and once more where there are more
         room = num
         found = _new_sides(room, mirrors.most.shape[0])
-        num = _search(Search(facets, mirrors, wedges, found, images, sequence, np.empty((7, 3))), max_planes)
+        search = Search(facets, mirrors, wedges, ends, found, images, sequence, np.empty((7, 3)))
+        num = _search(search, max_planes)
     order = np.argsort(-found.most[:num, 0], kind="mergesort")
     order = order[np.argsort(found.edge[order], kind="mergesort")]
     edge = found.edge[order]

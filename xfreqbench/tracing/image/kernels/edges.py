@@ -13,6 +13,7 @@ from .arrays import F64, FAR, I64, MAX_BOXES, Bools
 from .compiled import entry, part, whole
 
 BESIDE_M = 1e-3  # how far beside an edge a facet must reach to count as one of its faces; shorter edges are none
+SEAM = 1e-6  # of a facet's sides, by which it is wider, so that none of two that meet in a seam leaves a gap
 MIN_TURN_RAD = 1e-3  # by which the angle that is left free exceeds a half turn
 
 
@@ -140,7 +141,8 @@ def wedge_around(flat: Flat, start: F64, along: F64, length: float) -> tuple[flo
             way /= math.sqrt(np.sum(way**2))
             u = np.sum(flat.dual[q, 0] * (middle + BESIDE_M * way - flat.corner[q]))
             v = np.sum(flat.dual[q, 1] * (middle + BESIDE_M * way - flat.corner[q]))
-            if u > 0.0 and v > 0.0 and (u + v < 1.0 if flat.is_triangle[q] else u < 1.0 and v < 1.0):
+            most = u + v if flat.is_triangle[q] else max(u, v)
+            if min(u, v) > -SEAM and most < 1.0 + SEAM:
                 towards.append(way)
                 faces.append(q)
     ways, face = np.zeros((2, 3)), np.zeros(2, np.int64)

@@ -1,9 +1,12 @@
 """Compiled kernels: the field that a wedge diffracts, by the uniform theory of diffraction.
 
-Each of the four terms of Kouyoumjian and Pathak (Proc. IEEE 62, 1974) removes the jump of the other paths at one
-boundary: of the field that goes straight on, less what the faces let through, and of the field that each face
-reflects (for slabs Burnside and Burgener, IEEE Trans. Antennas Propag. 31, 1983). The two ends of a path may
-change places.
+Every other path that meets the faces of a wedge close to its edge ends where it would pass the edge: the one that goes
+straight on, those that a face reflects or lets through, and those that turn to and fro inside before they come out.
+To each belongs one term, which removes its jump. Unfolded, mirrored in each face that reflects it, such a path is a
+straight line past the edge; it exists where the angle about the edge from its start to its end is less than a half
+turn. Where no end is inside of the wedge, the terms are the four of Kouyoumjian and Pathak (Proc. IEEE 62, 1974), with
+the coefficients of slabs (Burnside and Burgener, IEEE Trans. Antennas Propag. 31, 1983), and those of what both faces
+let through. The two ends of a path may change places.
 """
 
 from __future__ import annotations
@@ -30,11 +33,12 @@ class Wedges(NamedTuple):
     along: F64  # (E, 3)
     tangent: F64  # (E, 3): along face 0
     normal: F64  # (E, 3): of face 0, into free space
-    normal_n: F64  # (E, 3): of face n, into free space
     length: F64  # (E,)
     angle: F64  # (E,): through free space
-    slab: I64  # (E, 2): kinds of the faces, an index into Media
-    is_opaque: Bools  # (E,): one of the faces lets nothing through
+    slab: I64  # (E, 2, 2): kinds of face 0 and face n as seen from free space, and from inside; an index into Media
+    is_opaque: Bools  # (E, 2): whether face 0 and face n let nothing through
+    num_turns: I64  # (E,): so often can a path that meets both faces cross the inside before it has passed the edge
+    has_inside: Bools  # (E,): whether ends inside of the wedge count
 
 
 def _weideman(num_terms: int) -> tuple[float, F64]:
@@ -53,6 +57,11 @@ WIDTH, SERIES = _weideman(24)
 @bare
 def transition(y: float) -> complex:
     """erfc(z)·exp(z²) at z = exp(jπ/4)·y, y ≥ 0: the UTD's F(y²) over √π·z. It is 1 at y = 0."""
+    if y > 8.0:  # the asymptotic series, to 3e-11
+        turn, total = complex(0.0, 0.5 / (y * y)), 1.0 + 0j
+        for k in range(15, 0, -2):
+            total = 1.0 + k * turn * total
+        return total * complex(math.sqrt(0.5), -math.sqrt(0.5)) / (math.sqrt(math.pi) * y)
     z = complex(y * math.sqrt(0.5), y * math.sqrt(0.5))
     inverse = 1.0 / (WIDTH + z)
     ratio, total = (WIDTH - z) * inverse, 0j
@@ -62,24 +71,57 @@ def transition(y: float) -> complex:
 
 
 @part
-def off_boundary(term: int, n: float, phi: float, source_phi: float) -> float:
-    """How far off the boundary of one of the four terms the two ends are, in half turns over n."""
-    apart = phi - source_phi if term < 2 else phi + source_phi
-    off = (math.pi + (apart if term % 2 == 0 else -apart)) / (2.0 * n)
+def terms_of(wedges: Wedges, e: int, source_phi: float, phi: float) -> tuple[int, int, float]:
+    """The first term of two ends about edge e, the one after the last, and the half turns n of their wedge.
+
+    Terms come in pairs, one that meets face 0 first and one that meets face n first: 0 and 1 go straight on, one this
+    way and one that way about the edge, 2 and 3 meet one face, and each later pair crosses the inside once more. With
+    one end inside the waves spread as beside a screen (n = 2), with both as in a corner.
+    """
+    free = wedges.angle[e]
+    num_inside, last = (source_phi > free) + (phi > free), 2 * wedges.num_turns[e] + 4
+    if num_inside == 0:
+        return 0, last, free / math.pi
+    if num_inside == 1:
+        return 2, last, 2.0
+    # at right angles, and other whole parts of a half turn, the reflections join with no jump but that of polarization
+    return 2, (6 if free < 1.5 * math.pi - SCREEN_RAD else 2), 2.0 - free / math.pi
+
+
+@part
+def _off_face(free: float, face: int, phi: float) -> float:
+    """Angle between a direction about the edge and one of the faces, on the side of the face where it is."""
+    if phi > free:
+        return 2.0 * math.pi - phi if face == 0 else phi - free
+    return phi if face == 0 else free - phi
+
+
+@part
+def unfolded(free: float, term: int, source_phi: float, phi: float) -> float:
+    """Angle about the edge from one end to the other along the path of a term, unfolded."""
+    first, num_turns = term % 2, term // 2 - 1
+    if num_turns < 0:
+        return phi - source_phi if first == 0 else source_phi - phi
+    last = first if num_turns % 2 == 0 else 1 - first
+    return _off_face(free, first, source_phi) + num_turns * (2.0 * math.pi - free) + _off_face(free, last, phi)
+
+
+@part
+def off_boundary(n: float, angle: float) -> float:
+    """How far an unfolded angle is off a half turn, in half turns over n."""
+    off = (math.pi - angle) / (2.0 * n)
     return off - math.pi * math.floor(off / math.pi + 0.5)
 
 
 @bare
-def _term(term: int, n: float, root: float, phi: float, source_phi: float) -> complex:
-    """One of the four terms of Kouyoumjian and Pathak (1974), Eq. 25: cot(turn/2n)·F, ∓1 on the sides of its boundary.
+def _term(is_straight: bool, n: float, root: float, off: float) -> complex:
+    """A term of Kouyoumjian and Pathak (1974), Eq. 25: cot(turn/2n)·F, ∓1 on the sides of its boundary.
 
-    Terms 0 and 1 belong to the fields that go straight on beside face n and beside face 0, 2 and 3 to those that face
-    n and face 0 reflect. `root` is √(2kL) with L = s·s'/(s + s')·sin²β; angles are those of `Edge`.
+    `root` is √(2kL) with L = s·s'/(s + s')·sin²β.
     """
-    off = off_boundary(term, n, phi, source_phi)
-    # a facet's rim belongs to the facet: it blocks and reflects there
+    # a facet's rim belongs to the facet: it blocks, reflects and lets through there
     if abs(off) < 1e-12:
-        return complex(-1.0 if term < 2 else 1.0, 0.0)
+        return complex(-1.0 if is_straight else 1.0, 0.0)
     sine = abs(math.sin(n * off))
     return sine / (n * math.tan(off)) * transition(root * sine)
 
@@ -104,13 +146,9 @@ def _along(field: C128, axis: F64) -> complex:
 
 
 @bare
-def _axes(field: C128, k: F64, axis: F64, other: F64, work: F64) -> Pair:
-    """Components of a field along k×axis and k×(k×axis), of unit length; along `other` and k×other if k is the axis."""
-    norm = _cross(k, axis, work[0])
-    if norm < 1e-9:
-        norm = 1.0
-        for c in range(3):
-            work[0, c] = other[c]
+def _axes(field: C128, k: F64, axis: F64, work: F64) -> Pair:
+    """Components of a field along k×axis and k×(k×axis), of unit length."""
+    norm = max(_cross(k, axis, work[0]), 1e-30)
     _cross(k, work[0], work[1])
     return _along(field, work[0]) / norm, _along(field, work[1]) / norm
 
@@ -125,39 +163,43 @@ def _coefficients(media: Media, kind: int, f: int, cosine: float) -> Four:
 
 
 @bare
-def _passed(media: Media, kind: int, f: int, normal: F64, along: F64, k: F64, field: Pair, work: F64) -> Pair:
-    """What a face passes of a wave along k; the field is given along k×along and k×(k×along), of unit length."""
-    norm, cosine, sine = _cross(k, normal, work[0]), 1.0, 0.0
-    across = _cross(k, along, work[1])
-    if norm > 1e-9:
-        cosine = dot(work[1], work[0]) / (norm * across)
-        _cross(work[1], work[0], work[2])
-        sine = dot(k, work[2]) / (norm * across)
-    _, _, t_te, t_tm = _coefficients(media, kind, f, abs(dot(k, normal)))
-    te = t_te * (cosine * field[0] + sine * field[1])
-    tm = t_tm * (cosine * field[1] - sine * field[0])
-    return cosine * te - sine * tm, sine * te + cosine * tm
+def _over_faces(
+    wedges: Wedges, media: Media, e: int, f: int, term: int, phis: tuple[float, float], slope: float, field: Pair
+) -> Pair:
+    """What the faces on the path of a term make of a wave from the first end at the angles `phis` to the second.
 
-
-@bare
-def _through(wedges: Wedges, media: Media, e: int, is_from_zero: bool, f: int, k: F64, field: Pair, work: F64) -> Pair:
-    """What all faces of a wedge pass of a wave that goes straight on beside the edge."""
-    for face in range(2):
-        is_zero = (face == 0) == is_from_zero
-        if not is_zero and wedges.angle[e] > 2.0 * math.pi - SCREEN_RAD:
-            continue
-        kind = wedges.slab[e, 0] if is_zero else wedges.slab[e, 1]
-        normal = wedges.normal[e] if is_zero else wedges.normal_n[e]
-        field = _passed(media, kind, f, normal, wedges.along[e], k, field, work)
-    return field
-
-
-@bare
-def _reflection(media: Media, kind: int, f: int, normal: F64, k: F64, out: F64) -> Pair:
-    """Specular reflection TE and TM of a face, at the geometric mean of the cosines of incidence from the two ends."""
-    cosine = math.sqrt(abs(dot(k, normal) * dot(out, normal)))
-    r_te, r_tm, _, _ = _coefficients(media, kind, f, cosine)
-    return r_te * media.specular[kind], r_tm * media.specular[kind]
+    The field is given along k×along and k×(k×along), of unit length, and `slope` is k·along. The path is turned about
+    the edge to be straight: half of what its unfolded angle differs from a half turn at either end. Coefficients are
+    those at the geometric mean of the cosines of incidence from the two ends.
+    """
+    free, first, num_turns, (hard, soft) = wedges.angle[e], term % 2, term // 2 - 1, field
+    are_outside, angle = (phis[0] < free, phis[1] < free), unfolded(free, term, *phis)
+    sign = 1.0 if (first == 0) == are_outside[0] else -1.0  # of the sense in which the path turns about the edge
+    at, across = _off_face(free, first, phis[0]), math.sqrt(max(0.0, 1.0 - slope * slope))
+    for i in range(num_turns + 1):
+        if i > 0 and free > 2.0 * math.pi - SCREEN_RAD:
+            break
+        face = first if i % 2 == 0 else 1 - first
+        is_passed = (i == 0 and are_outside[0]) != (i == num_turns and are_outside[1])
+        if is_passed and wedges.is_opaque[e, face]:
+            return 0j, 0j
+        is_behind = not is_passed and (num_turns > 0 or not are_outside[0])
+        kind = wedges.slab[e, face, 1 if is_behind else 0]
+        cosine = across * math.sqrt(abs(math.sin(at) * math.sin(angle - at)))
+        r_te, r_tm, t_te, t_tm = _coefficients(media, kind, f, cosine)
+        aside = at + (math.pi - angle) / 2.0
+        x, y = sign * slope * math.sin(aside), math.cos(aside)
+        norm = math.hypot(x, y)
+        x, y = (x / norm, y / norm) if norm > 1e-9 else (0.0, 1.0)
+        te, tm = x * hard + y * soft, x * soft - y * hard
+        if is_passed:
+            te, tm = t_te * te, t_tm * tm
+        else:  # unfolded, in the mirror, the TM field and k×along turn round
+            te, tm = media.specular[kind] * r_te * te, -media.specular[kind] * r_tm * tm
+        hard, soft = x * te - y * tm, y * te + x * tm
+        at += 2.0 * math.pi - free
+    num_passed = are_outside[0] + are_outside[1] if num_turns > 0 else are_outside[0] != are_outside[1]
+    return (-hard if (num_turns + 1 - num_passed) % 2 == 1 else hard), soft
 
 
 @bare
@@ -168,48 +210,36 @@ def diffract(
     f: int,
     waves: tuple[F64, F64],
     fields: tuple[C128, C128],
-    angles: tuple[float, float],
+    phis: tuple[float, float],
     root: float,
+    num_left: int,
     work: F64,
 ) -> complex:
     """What the second of two waves to the edge takes of the first, over 1/(s + s').
 
-    `waves` are their directions (3,), `fields` those that they bring there (3,), `angles` those of `Edge` to where
-    they come from. Straight-on terms turn the field about the edge and take off what the faces pass of it, half-way
-    between the two directions. Reflected terms reflect it about the plane that would turn the one direction into
-    the other. So at each boundary they equal the field that jumps there, and the two waves may change places.
+    `waves` are their directions (3,), `fields` those that they bring there (3,), `phis` the angles of `Edge` to where
+    they come from. Paths that meet more than `num_left` faces are not traced, and have no terms.
     """
-    k, out, along, n = waves[0], work[3], wedges.along[e], wedges.angle[e] / math.pi
+    out, along, free = work[2], wedges.along[e], wedges.angle[e]
     for c in range(3):
         out[c] = -waves[1][c]
-    source_phi, phi = angles
-    beside_n, beside_0 = _term(0, n, root, phi, source_phi), _term(1, n, root, phi, source_phi)
-    from_n, from_0 = _term(2, n, root, phi, source_phi), _term(3, n, root, phi, source_phi)
-    hard, soft = _axes(fields[0], k, along, along, work)
-    far_hard, far_soft = _axes(fields[1], out, along, along, work)
-    middle = (source_phi + phi) / 2.0
-    cosine, sine, mirror_normal = math.cos(middle), math.sin(middle), work[4]
-    for c in range(3):
-        mirror_normal[c] = cosine * wedges.tangent[e, c] + sine * wedges.normal[e, c]
-
-    total = (beside_n + beside_0) * (hard * far_hard + soft * far_soft)
-    if not wedges.is_opaque[e]:
-        mean, slope = work[5], dot(k, along)
-        across = math.sqrt(max(0.0, 1.0 - slope * slope))
-        for i in range(2):
-            for c in range(3):
-                beside = cosine * wedges.normal[e, c] - sine * wedges.tangent[e, c]
-                mean[c] = slope * along[c] + (across if i == 0 else -across) * beside
-            passed = _through(wedges, media, e, i == 0, f, mean, (hard, soft), work)
-            total -= (beside_0 if i == 0 else beside_n) * (passed[0] * far_hard + passed[1] * far_soft)
-
-    te, tm = _axes(fields[0], k, mirror_normal, along, work)
-    far_te, far_tm = _axes(fields[1], out, mirror_normal, along, work)
-    r_te, r_tm = _reflection(media, wedges.slab[e, 0], f, wedges.normal[e], k, out)
-    total += from_0 * (r_te * te * far_te + r_tm * tm * far_tm)
-    if wedges.angle[e] < 2.0 * math.pi - SCREEN_RAD or wedges.slab[e, 0] != wedges.slab[e, 1]:
-        r_te, r_tm = _reflection(media, wedges.slab[e, 1], f, wedges.normal_n[e], k, out)
-    total += from_n * (r_te * te * far_te + r_tm * tm * far_tm)
+    near, far = _axes(fields[0], waves[0], along, work), _axes(fields[1], out, along, work)
+    slope, total, this_way, that_way = dot(waves[0], along), 0j, 0j, 0j
+    first, last, n = terms_of(wedges, e, *phis)
+    for term in range(first, last):
+        num_met, field = term // 2 if free < 2.0 * math.pi - SCREEN_RAD else min(term // 2, 1), near
+        if num_met > num_left:
+            break
+        if num_met > 0:
+            field = _over_faces(wedges, media, e, f, term, phis, slope, near)
+            if field[0] == 0j and field[1] == 0j:
+                continue
+        if first == 0 and term // 2 == 2:  # through both faces, the other way about the edge than straight on
+            share = -this_way if term == 4 else -that_way
+        else:
+            share = _term(num_met == 0, n, root, off_boundary(n, unfolded(free, term, *phis)))
+        this_way, that_way = share if term == 0 else this_way, share if term == 1 else that_way
+        total += share * (field[0] * far[0] + field[1] * far[1])
     return -0.5 * total
 
 
