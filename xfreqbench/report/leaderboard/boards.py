@@ -89,13 +89,8 @@ class BoardRow:
         return "ablation" if changed else "learned"
 
     @cached_property
-    def drawn(self) -> dict[tuple[str, int], FloatArray]:
-        """What `comparison.medians_of` has drawn, by split and number of resamples."""
-        return {}
-
-    @cached_property
-    def differences(self) -> dict[tuple[tuple[str, ...], str], tuple[float, float]]:
-        """What `Comparison.paired_difference` has found, by splits and the label of the other row of the board."""
+    def drawn(self) -> dict[str, FloatArray]:
+        """What `comparison.medians_of` has drawn, by split."""
         return {}
 
     def average(self, splits: Sequence[str], quantity: Callable[[RunRecord], float] = _median_ssim) -> float:
@@ -156,6 +151,12 @@ class Board:
     def records(self) -> list[RunRecord]:
         """The records of all rows."""
         return [record for row in self.rows for record in row.records]
+
+    @cached_property
+    def cells(self) -> dict[tuple[str, int], tuple[int, ...]]:
+        """The cell of each tested transmitter, by split and their number; older records do not say it."""
+        known = [record for record in self.records if record.cell_of_tx]
+        return {(record.job.split, len(record.cell_of_tx)): record.cell_of_tx for record in known}
 
     @property
     def data_name(self) -> str:
@@ -429,9 +430,18 @@ def comparable(record: RunRecord) -> tuple[object, ...]:
 
 
 def pooled_quantiles(records: Sequence[RunRecord], metric: str) -> list[float]:
-    """Quantiles from 0 to 1 of the scores of all seeds together; every seed tests equally many maps."""
+    """Quantiles from 0 to 1 of the scores of all records together; each of them tests equally many maps.
+
+    Those of SSIM are of the samples where the records hold them. Of other metrics they are of the records' quantiles,
+    of which the smallest and the largest stand for half a step of one per cent, and every other one for a whole step.
+    """
+    levels = np.linspace(0, 1, NUM_QUANTILES)
+    if metric == "ssim" and all(record.ssim_by_tx for record in records):
+        of_tx = chain.from_iterable(record.ssim_by_tx for record in records)
+        return quantiles(np.fromiter(chain.from_iterable(of_tx), np.float64), levels.tolist()).tolist()
+    weight = np.where((levels == 0) | (levels == 1), 0.5, 1.0)
     pooled = np.concatenate([record.scores[metric].quantiles for record in records])
-    return quantiles(pooled, np.linspace(0, 1, NUM_QUANTILES).tolist()).tolist()
+    return np.quantile(pooled, levels, weights=np.tile(weight, len(records)), method="inverted_cdf").tolist()
 
 
 def short_name(split: str) -> str:

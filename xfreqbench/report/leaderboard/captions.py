@@ -217,14 +217,13 @@ def legend(is_short: bool = False) -> str:
         "below 0 is worse. It is 1 − (1 − SSIM) / (1 − SSIM of the best of "
         f"{', '.join(EVERY_TRIVIAL)} on the same split). A dash: one of the first {len(NEEDED_TRIVIAL)} of these was "
         "not run. In every resample the best is found anew",
-        "[low, high]": f"95 % interval, from {NUM_RESAMPLES:,} bootstrap resamples. A resample draws transmitters with "
-        "all their samples, the same ones for every method (paired), and seeds; as seeds are few, their spread is "
-        "widened by Student's t. Of a hundred pairs of equally good methods, about five are still told apart by "
-        "chance. A bound that decides which is better, and that is not known to a tenth of its distance from zero, is "
-        "taken from 16,000 resamples, and as 0 where these do not suffice",
-        "rank": "the best and the worst place that the intervals of the differences allow, in a table that is sorted "
-        "by averages; not corrected for the number of comparisons. Words say why there is no rank: fewer than "
-        f"{MIN_SEEDS} seeds (a trivial predictor needs one), or a budget in seconds on another machine than most",
+        "[low, high]": f"95 % interval, from {NUM_RESAMPLES:,} bootstrap resamples. A resample draws square metres of "
+        "the floor with all transmitters there, the same ones for every method (paired), and seeds; as seeds are few, "
+        "their spread is widened by Student's t. Squares, because scores of near transmitters are alike: 1 m apart, "
+        "their correlation is half of that of neighbours. Five of a hundred intervals miss the true value",
+        "rank": "the best and the worst place that the differences allow, in a table that is sorted by averages. Two "
+        "methods are told apart at 5 %, corrected for the number of all pairs (Holm). Words say why there is no rank: "
+        f"fewer than {MIN_SEEDS} seeds (a baseline needs one), or a budget in seconds on another machine than most",
     }
     if not is_short:
         terms["seeds**, **± seeds"] = (
