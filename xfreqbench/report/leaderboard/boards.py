@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
+from importlib.resources import files
 from itertools import chain, count, groupby
 from math import inf, isnan, nan
 from statistics import mean, stdev
@@ -23,6 +25,15 @@ from xfreqbench.methods.contract import BUDGETS, Budget
 from xfreqbench.methods.trivial import EVERY_TRIVIAL, NEEDED_TRIVIAL
 from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord
 from xfreqbench.types import FloatArray
+
+
+@cache
+def published() -> dict[str, Any]:
+    """Numbers that others published for other data, and which of our rows belong to which: `paper_results.toml`.
+
+    They are shown beside ours and never ranked with them.
+    """
+    return tomllib.loads((files("xfreqbench.baselines") / "paper_results.toml").read_text("utf-8"))
 
 
 def _median_ssim(record: RunRecord) -> float:
@@ -87,6 +98,15 @@ class BoardRow:
             return "trivial" if self.is_trivial else "external"
         changed = [option for option in self.job.overrides if not option.startswith("device=")]
         return "ablation" if changed else "learned"
+
+    @property
+    def whose(self) -> str:
+        """`ours`, `reduced`, `authors' code`, `verified`, or `self-reported`; see the legend of a report."""
+        if self.is_external or self.is_trivial:
+            return "ours" if self.is_trivial else "self-reported"
+        method = self.job.method
+        named = {"reduced": published()["reduced"], **published()["whose"]}
+        return next((whose for whose, methods in named.items() if method in methods), "self-reported")
 
     @cached_property
     def drawn(self) -> dict[str, FloatArray]:

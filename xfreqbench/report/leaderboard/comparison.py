@@ -194,6 +194,18 @@ class Comparison:
         return np.mean(medians_of(self.board, row, self.splits), axis=0)
 
 
+def contrast(board: Board, terms: Sequence[tuple[BoardRow, str, float]]) -> tuple[float, Interval]:
+    """A sum of median SSIM of rows on splits, each with a weight, and its interval, paired by transmitters.
+
+    The interval is unknown where samples are missing.
+    """
+    value = sum(weight * row.average([split]) for row, split, weight in terms)
+    if not all(record.ssim_by_tx for row, split, _ in terms for record in row.by_split[split]):
+        return value, UNKNOWN
+    drawn = [weight * medians_of(board, row, [split])[0] for row, split, weight in terms]
+    return value, _interval(np.sum(drawn, axis=0))
+
+
 def comparisons_of(board: Board) -> list[Comparison]:
     """One for each set of splits that rows share, and one for each lone split."""
     lone = [(split,) for split in board.lone_splits()]

@@ -130,9 +130,10 @@ def _tables(compared: Sequence[Comparison]) -> dict[str, Any]:
         is_long = len(comparison.splits) > 5
         splits = [] if is_long else ["splits"]
         shown = columns(
-            comparison, ("rank", "method", "average", "skill", *splits, "aoa_error", "seconds", "milliseconds")
+            comparison,
+            ("rank", "method", "average", "skill", *splits, "beam_loss", "aoa_error", "seconds", "milliseconds"),
         )
-        more = ("seeds", "p10", "psnr", "power_error", "beam_loss", "memory", "parameters", "origin", "trained on")
+        more = ("seeds", "p10", "psnr", "power_error", "memory", "parameters", "whose", "origin", "trained on")
         hidden = columns(comparison, (*more, *(["splits"] if is_long else [])))
         sets.append(
             {
