@@ -74,7 +74,6 @@ def test_a_method_of_one_seed_is_not_ranked_and_a_trivial_predictor_is() -> None
     comparison, row = compared(scored("ours", samples(0.1)), scored("nearest", samples()))
     assert comparison.ranks(row["ours"]) is None
     assert comparison.ranks(row["nearest"]) == (1, 1)
-    assert np.isnan(comparison.difference(row["ours"], row["nearest"])).all()
     low, high = comparison.interval(row["ours"])  # its transmitters still say something
     assert low < comparison.rows[0].average([SPLIT]) < high
 

@@ -75,21 +75,6 @@ def test_the_matrix_of_skill_has_the_skill_of_each_board(written: tuple[Path, ..
     assert matrix == {"board": "office, lofo", "ours": "0.500"}
 
 
-def test_a_method_that_gains_little_by_more_maps_is_called_flat(tmp_path: Path) -> None:
-    ssim = {
-        ("ours", "quick"): 0.90, ("ours", "converged"): 0.9012,
-        ("theirs", "quick"): 0.90, ("theirs", "converged"): 0.91, ("theirs", "minutes"): 0.95,
-        ("worse", "quick"): 0.90, ("worse", "converged"): 0.89,
-        ("hasty", "quick"): 0.90, ("hasty", "minutes"): 0.90,
-    }  # fmt: skip
-    for (method, lane), value in ssim.items():
-        store(tmp_path, with_job(make_record(method, value), budget=BUDGETS[lane]))
-    write_report(tmp_path, tmp_path / "B.md", tmp_path / "all")
-    text = (tmp_path / "B.md").read_text("utf-8")
-    gains = {method: rows_of(text, method)[-1]["quick → converged"] for method, _ in ssim}
-    assert gains == {"ours": "+0.0012, flat", "theirs": "+0.0100", "worse": "-0.0100, flat", "hasty": "–"}
-
-
 def test_findings_name_the_best_method_and_what_the_papers_idea_adds(tmp_path: Path) -> None:
     def stored(method: str, shift: float, *overrides: str) -> list[RunRecord]:
         return [

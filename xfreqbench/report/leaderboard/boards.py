@@ -247,12 +247,6 @@ class Board:
         shown = [splits for splits in ordered if len(splits) > 1] or ordered
         return [tuple(split for split in self.splits if split in splits) for splits in shown]
 
-    def lone_splits(self) -> list[str]:
-        """Splits of rows that cover none of the sets of splits, such as ablations that were run at one carrier."""
-        sets = list(map(set, self.split_sets()))
-        alone = [row for row in self.rows if not any(splits <= row.by_split.keys() for splits in sets)]
-        return [split for split in self.splits if any(split in row.by_split for row in alone)]
-
     def rows_on(self, splits: Sequence[str]) -> list[BoardRow]:
         """The rows that were run on all of these splits, the best average of median SSIM first."""
         rows = [row for row in self.rows if set(splits) <= set(row.by_split)]

@@ -212,10 +212,9 @@ def legend(is_short: bool = False) -> str:
     if not is_short:
         terms["mean**, **10th pct."] = "mean SSIM of the test maps, and the SSIM that a tenth of them lies below"
     terms |= {
-        "skill": "how much better a method is than the best predictor that learns nothing: 0 is as good, 1 is perfect, "
-        "below 0 is worse. It is 1 − (1 − SSIM) / (1 − SSIM of the best of "
-        f"{', '.join(EVERY_TRIVIAL)} on the same split). A dash: one of the first {len(NEEDED_TRIVIAL)} of these was "
-        "not run. In every resample the best is found anew",
+        "skill": "the share of the best baseline's error, 1 − SSIM, that a method removes: 0 is as good, 1 is perfect, "
+        f"below 0 is worse. Baselines are {', '.join(EVERY_TRIVIAL)}, on the same split. A dash: one of the first "
+        f"{len(NEEDED_TRIVIAL)} was not run. In every resample the best is found again",
         "[low, high]": f"95 % interval, from {NUM_RESAMPLES:,} bootstrap resamples. A resample draws square metres of "
         "the floor with all transmitters there, the same ones for every method (paired), and seeds; as seeds are few, "
         "their spread is widened by Student's t. Squares, because scores of near transmitters are alike: 1 m apart, "

@@ -143,7 +143,7 @@ def columns(comparison: Comparison, names: Sequence[str]) -> list[_Column]:
         ),
         "skill": _Column(
             "skill",
-            "share of what the best trivial predictor leaves open that is closed, and its 95 % interval",
+            "share of the best baseline's error that is removed, and its 95 % interval",
             average(board.skill),
             ".3f",
             bounds=comparison.skill_interval,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import chain, combinations
-from math import isqrt, nan
+from math import nan
 
 import numpy as np
 from jaxtyping import Float, Integer
@@ -81,29 +81,20 @@ class Comparison:
 
         The best comes first.
         """
-        return [row for row in self.rows if self.has_enough_seeds(row) and self.is_timed_alike(row)]
-
-    @cached_property
-    def _ranked_labels(self) -> set[str]:
-        return {row.label for row in self.ranked_rows}
-
-    def is_ranked(self, row: BoardRow) -> bool:
-        """Whether a row is one of `ranked_rows`."""
-        return row.label in self._ranked_labels
+        return [row for row in self.rows if not self.unranked(row)]
 
     def has_enough_seeds(self, row: BoardRow) -> bool:
         """Whether a row has its samples stored and at least `MIN_SEEDS` seeds; a trivial predictor needs one seed."""
-        needed = 1 if row.is_trivial else MIN_SEEDS
-        return self._has_samples(row) and row.num_seeds(self.splits)[0] >= needed
+        return self._has_samples(row) and (row.is_trivial or row.num_seeds(self.splits)[0] >= MIN_SEEDS)
 
     def unranked(self, row: BoardRow) -> str:
         """Why a row has no rank, in two words such as `one seed`; empty where it has one."""
-        if self.is_ranked(row):
-            return ""
         seeds = row.num_seeds(self.splits)[0]
         if not row.is_trivial and seeds < MIN_SEEDS:
             return "one seed" if seeds == 1 else f"{seeds} seeds"
-        return "other machine" if self._has_samples(row) else "no samples"
+        if not self._has_samples(row):
+            return "no samples"
+        return "" if self.is_timed_alike(row) else "other machine"
 
     @cached_property
     def timed_on(self) -> str:
@@ -116,15 +107,9 @@ class Comparison:
         return set(row.timing_machines) <= {self.timed_on}
 
     def difference(self, row: BoardRow, other: BoardRow) -> Interval:
-        """Interval of a row's average median SSIM minus another's; nan where one of the two is not ranked."""
-        if not (self.is_ranked(row) and self.is_ranked(other)):
-            return UNKNOWN
-        return self.paired_difference(row, other)
+        """Interval of a row's average median SSIM minus another's, paired; nan where samples are missing.
 
-    def paired_difference(self, row: BoardRow, other: BoardRow) -> Interval:
-        """As `difference`, but for rows of few seeds too: of one seed it is the interval of transmitters alone.
-
-        nan where samples are missing.
+        Of one seed it is the interval of transmitters alone.
         """
         if not (self._has_samples(row) and self._has_samples(other)):
             return UNKNOWN
@@ -157,7 +142,7 @@ class Comparison:
 
     def ranks(self, row: BoardRow) -> tuple[int, int] | None:
         """Best and worst place among the ranked rows that its intervals leave open; None if it is not ranked."""
-        if not self.is_ranked(row):
+        if self.unranked(row):
             return None
         others = [other for other in self.ranked_rows if other is not row]
         num_better = sum(self.beats(other, row) for other in others)
@@ -207,92 +192,41 @@ def contrast(board: Board, terms: Sequence[tuple[BoardRow, str, float]]) -> tupl
 
 
 def comparisons_of(board: Board) -> list[Comparison]:
-    """One for each set of splits that rows share, and one for each lone split."""
-    lone = [(split,) for split in board.lone_splits()]
-    return [Comparison(board, splits) for splits in [*board.split_sets(), *lone]]
+    """One for each set of splits that rows share, and one for each split of a row that has none of the sets."""
+    sets = board.split_sets()
+    alone = [row for row in board.rows if not any(row.by_split.keys() >= set(splits) for splits in sets)]
+    lone = [(split,) for split in board.splits if any(split in row.by_split for row in alone)]
+    return [Comparison(board, splits) for splits in [*sets, *lone]]
 
 
 def resampled_medians(scores: Sequence[Sequence[Sequence[float]]]) -> Float[FloatArray, "S R"]:
     """Median SSIM of S records in each of R resamples of whole cells.
 
     `scores` has the scores of each cell, of each record. The draw depends only on the number of cells. A score counts
-    as often as its cell was drawn, so that the scores are sorted once for all resamples. Of those well below the median
-    only their number is needed, which one matrix product finds for all records.
+    as often as its cell was drawn, so that the scores are sorted once for all resamples. How many drawn scores come up
+    to each of them is a matrix product, first of those within 4.5 standard deviations of the median alone.
     """
     medians = np.empty((len(scores), NUM_RESAMPLES))
-    lengths = [tuple(map(len, of_cells)) for of_cells in scores]
-    for num_scores in set(lengths):
-        records = [place for place, of_record in enumerate(lengths) if of_record == num_scores]
-        bands = [_Band.of(scores[place]) for place in records]
-        counted = np.array([num_scores, *(band.num_below for band in bands)])  # (1 + S, C)
-        exact = np.float32 if max(num_scores) * len(num_scores) < 2**24 else np.float64
-        times_drawn = _times_drawn(len(num_scores))
-        num_drawn, *below = (counted.astype(exact) @ times_drawn.astype(exact)).astype(np.int32)
-        before = np.stack([(num_drawn - 1) // 2, num_drawn // 2])  # the lower and the upper median
-        for place, band, num_below in zip(records, bands, below, strict=True):
-            middle = band.places_of(before - num_below, times_drawn)
-            if middle is None:
-                middle = _Band.of(scores[place], is_whole=True).places_of(before, times_drawn)
-            medians[place] = band.ordered[middle].mean(axis=0)
-    return medians
-
-
-@dataclass(frozen=True, eq=False)
-class _Band:
-    """The scores of a record in ascending order, and a band of them that has nearly all medians, cut into blocks.
-
-    `num_below` is how many scores of each of C cells come before the band, which begins at place `first`. `owner` has
-    the cell of each score of a block; the last `num_empty` of the last block are of none.
-    """
-
-    ordered: Float[FloatArray, "N"]
-    num_below: Integer[NDArray[np.integer], "C"]
-    first: int
-    owner: Integer[NDArray[np.integer], "B size"]
-    num_empty: int
-
-    @classmethod
-    def of(cls, of_cells: Sequence[Sequence[float]], is_whole: bool = False) -> _Band:
-        """The band within 4.5 standard deviations of how many scores of a resample are below the median, or all."""
+    for place, of_cells in enumerate(scores):
         num_scores = np.array(list(map(len, of_cells)))
         values = np.fromiter(chain.from_iterable(of_cells), np.float64, count=num_scores.sum())
         order = np.argsort(values, kind="stable")
         owner = np.repeat(np.arange(len(num_scores)), num_scores)[order]
+        times_drawn = _times_drawn(len(num_scores)).astype(np.float32 if len(values) < 2**22 else np.float64)  # exact
+        num_drawn = (num_scores.astype(times_drawn.dtype) @ times_drawn).astype(np.int64)
         middle = len(values) // 2
         num_lower = np.bincount(owner[:middle], minlength=len(num_scores))
-        most = len(values) if is_whole else int(2 + 4.5 * np.linalg.norm(num_lower - num_scores / 2))
-        first, last = max(0, middle - most), min(len(values), middle + most)
-        size = 1 + isqrt(last - first) // 2
-        num_empty = (first - last) % size
-        blocks = np.pad(owner[first:last], (0, num_empty)).reshape(-1, size)
-        num_below = np.bincount(owner[:first], minlength=len(num_scores))
-        return cls(values[order], num_below, first, blocks, num_empty)
-
-    def places_of(
-        self, before: Integer[NDArray[np.integer], "2 R"], times_drawn: Integer[NDArray[np.integer], "C R"]
-    ) -> Integer[NDArray[np.integer], "2 R"] | None:
-        """Places in `ordered` of the drawn scores that have so many drawn ones of the band before them.
-
-        None where the band does not have all of them. Scores are counted in blocks; those of a block are looked at one
-        by one only where the place lies in it.
-        """
-        num_blocks, size = self.owner.shape
-        times = times_drawn.take(self.owner, axis=0)  # (B, size, R)
-        times[-1, size - self.num_empty :] = 0
-        in_block = times.sum(axis=1, dtype=np.min_scalar_type(size * np.iinfo(times.dtype).max))
-        num_up_to = np.zeros((num_blocks + 1, NUM_RESAMPLES), np.int32)
-        for number, counted in enumerate(in_block):  # faster than numpy.cumsum along this axis
-            np.add(num_up_to[number], counted, out=num_up_to[number + 1])
-        block = np.count_nonzero(num_up_to[1:] <= before[:, None], axis=1)
-        if before.min() < 0 or block.max() == num_blocks:
-            return None
-        resample, place = np.arange(NUM_RESAMPLES), block * size
-        num_so_far, looked_at = num_up_to[block, resample], place * NUM_RESAMPLES + resample
-        for _ in range(size - 1):
-            num_so_far += times.take(looked_at)
-            place += num_so_far <= before
-            looked_at += NUM_RESAMPLES
-        return self.first + place
+        for most in (int(2 + 4.5 * np.linalg.norm(num_lower - num_scores / 2)), len(values)):
+            first, last = max(0, middle - most), min(len(values), middle + most)
+            is_of_cell = (owner[first:last, None] == np.arange(len(num_scores))).astype(times_drawn.dtype)
+            is_of_cell[0] += np.bincount(owner[:first], minlength=len(num_scores))
+            up_to = np.cumsum(is_of_cell, axis=0) @ times_drawn
+            # the lower and the upper median, by how many drawn scores come before each
+            found = np.stack([(up_to <= before).sum(axis=0) for before in ((num_drawn - 1) // 2, num_drawn // 2)])
+            if found.max() < last - first and (first == 0 or found.min() > 0):
+                break
+        medians[place] = values[order][first + found].mean(axis=0)
+    return medians
 
 
 @lru_cache(maxsize=4)

@@ -6,13 +6,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
-from math import isnan, nan
 
 from scipy.stats import linregress
 
-from xfreqbench.methods.contract import BUDGETS
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, prose, table, with_interval
-from xfreqbench.report.leaderboard.boards import Board, BoardRow, budget_text, published, short_name
+from xfreqbench.report.leaderboard.boards import Board, BoardRow, published, short_name
 from xfreqbench.report.leaderboard.captions import facts, leak_statement, legend
 from xfreqbench.report.leaderboard.columns import BRIEF, columns
 from xfreqbench.report.leaderboard.comparison import Comparison
@@ -69,10 +67,10 @@ def main_boards(ranked: Sequence[Board]) -> list[Board]:
     for board in ranked:
         by_place.setdefault((board.scene, board.protocol), []).append(board)
 
-    def num_plain_runs(board: Board) -> int:
-        return sum(len(row.records) for row in board.rows if row.family != "ablation")
-
-    return [max(boards, key=num_plain_runs) for boards in by_place.values()]
+    return [
+        max(boards, key=lambda board: sum(len(row.records) for row in board.rows if row.family != "ablation"))
+        for boards in by_place.values()
+    ]
 
 
 def _first_comparison(board: Board) -> Comparison:
@@ -195,7 +193,7 @@ def _changes(of_scene: Sequence[Board], label: str, others: Mapping[str, str]) -
             said = [
                 f"{what} {with_interval(row.average(splits) - other.average(splits), interval, 4)}".strip()
                 for what, other in known.items()
-                for interval in [comparison.paired_difference(row, other)]
+                for interval in [comparison.difference(row, other)]
             ]
             return f"{', '.join(said)} ({_on(splits)})"
     return ""
@@ -275,34 +273,6 @@ def _worth(comparison: Comparison | None) -> list[str]:
     return [f"## What .01 of SSIM is worth\n\n{caption}\n\n{table(header, body)}"]
 
 
-def _budget_table(lanes: Sequence[Board]) -> list[str]:
-    """The methods that were run with several budgets, on the splits that all of them have; empty without any."""
-    fitted = [(lane, row) for lane in lanes for row in lane.rows if not row.is_trivial and row.family != "ablation"]
-    every = _first_comparison(lanes[0]).splits if lanes else ()
-    splits = [split for split in every if all(split in row.by_split for _, row in fitted)]
-    known = {(row.short_label, lane.lane): row.average(splits) for lane, row in fitted if splits}
-    num_lanes = Counter(label for label, _ in known)
-    rows = {place: value for place, value in known.items() if num_lanes[place[0]] > 1}
-    if not rows:
-        return []
-    header = ["method", *(lane.lane_title or "no budget" for lane in lanes)]
-    body = [
-        [label, *(number(rows.get((label, lane.lane), nan), 4) for lane in lanes)]
-        for label in sorted({label for label, _ in rows})
-    ]
-    caption = f"Average median SSIM on {', '.join(map(short_name, splits))} by budget"
-    few_maps, many_maps = (budget_text(BUDGETS[name]) for name in ("quick", "converged"))
-    if {few_maps, many_maps} <= {lane.lane for lane in lanes}:
-        flat = 0.002  # of SSIM
-        header.append("quick → converged")
-        for line in body:
-            few, many = (rows.get((line[0], lane), nan) for lane in (few_maps, many_maps))
-            gain = many - few  # each of the two fits let its learning rate fall to its own end
-            line.append(ABSENT if isnan(gain) else f"{gain:+.4f}" + (", flat" if gain < flat else ""))
-        caption += f"; *flat*, and so converged, is a method that gains less than {flat} by three times the maps"
-    return [f"{caption}:\n\n{table(header, body)}"]
-
-
 def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
     """The skill of each method on each board; trivial predictors are left out."""
     # of each method the best row, which comes last here
@@ -324,14 +294,10 @@ def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
 
 
 def _time(of_scene: Sequence[Board], pages: Mapping[str, str]) -> list[str]:
-    """The figure of error against time of the first board that has one, and scores by budget."""
-    if not of_scene:
-        return []
-    first = next((board for board in of_scene if board.time_figure), of_scene[0])
-    folder = pages[first.scene].rpartition("/")[0]
-    link = "/".join(filter(None, [folder, first.time_figure]))
-    words = heading(f"{first.scene} · {first.protocol}")
-    lanes = [board for board in of_scene if (board.data, board.protocol) == (first.data, first.protocol)]
-    figure = [f"![SSIM against seconds of fitting, {words}]({link})"] if first.time_figure else []
-    parts = [*figure, *(_budget_table(lanes) if len(lanes) > 1 else [])]
-    return ["## Error against time", *parts] if parts else []
+    """The figure of error against time of the first board that has one."""
+    for board in of_scene:
+        if board.time_figure:
+            link = "/".join(filter(None, [pages[board.scene].rpartition("/")[0], board.time_figure]))
+            words = heading(f"{board.scene} · {board.protocol}")
+            return ["## Error against time", f"![SSIM against seconds of fitting, {words}]({link})"]
+    return []

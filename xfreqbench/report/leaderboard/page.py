@@ -45,7 +45,10 @@ def write_page(results: Results, output_html: Path, since: Path | None = None) -
     require_page(found, output_html)
     main = main_scene(found.boards)
     boards = sorted(found.boards, key=lambda board: board.scene != main)
-    compared = list(map(_comparisons, boards))
+    # those first in which methods compete, and not trivial predictors alone
+    compared = [
+        sorted(comparisons_of(board), key=lambda found: not any(map(_competes, found.rows))) for board in boards
+    ]
     protocols = list(dict.fromkeys(board.protocol for board in boards))
     content = {
         "boards": [
@@ -99,11 +102,6 @@ def require_page(found: RankedResults, output_html: Path) -> None:
     require_own(output_html, lambda file: None if mark in file.read_bytes() else "is no page of results")
     for path in map(output_html.with_suffix, (".csv", ".parquet")):
         require_own_table(path)
-
-
-def _comparisons(board: Board) -> list[Comparison]:
-    """The comparisons of a board: those first in which methods compete, and not trivial predictors alone."""
-    return sorted(comparisons_of(board), key=lambda comparison: not any(map(_competes, comparison.rows)))
 
 
 def _competes(row: BoardRow) -> bool:
