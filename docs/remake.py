@@ -70,10 +70,10 @@ def readme_table(boards: Sequence[Board]) -> str:
     ]
     body = []
     for comparison, row in sorted(shown, key=lambda pair: -pair[1].average(alone.splits)):
-        every = columns(comparison, ("rank", "maps", "average", "skill"))
+        every = columns(comparison, ("rank", "maps", "average", "skill", "beam_loss"))
         rank, *others = (column.cell(row) for column in every)
         body.append([rank if comparison is ranked else ABSENT, row.job.method, *others])
-    return table(["rank", "method", "training maps", "median SSIM", "skill"], body)
+    return table(["rank", "method", "training maps", "median SSIM", "skill", "beam loss (dB)"], body)
 
 
 def remake(root: Path, page: Path | None = None) -> list[Path]:

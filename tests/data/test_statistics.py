@@ -72,6 +72,38 @@ def test_two_paths_have_the_spreads_and_k_of_their_closed_forms() -> None:
     np.testing.assert_allclose(found["power_share"][0], [0.8, 0.2, 0, 0, 0], rtol=1e-6)
 
 
+def test_k_of_a_cluster_counts_what_a_sounder_takes_for_the_direct_path() -> None:
+    """A reflection 2 ns later is in the first cluster, one 30 ns later is not; without a direct path there is none."""
+    met = {"num_interactions": np.array([0, 1, 1, 1]), "interaction": [SPECULAR] * 3}
+    paths = ragged([3, 1], [0.8, 0.15, 0.05, 1.0], delay_s=np.array([10, 12, 40, 10]) * 1e-9, **met)
+    found = of_paths(paths, 0)
+    assert found["k_factor_db"][0] == pytest.approx(10 * np.log10(0.8 / 0.2), abs=1e-5)
+    assert found["k_factor_cluster_db"][0] == pytest.approx(10 * np.log10(0.95 / 0.05), abs=1e-4)
+    assert np.isnan(found["k_factor_cluster_db"][1])
+
+
+def test_mmmagic_says_nothing_below_six_gigahertz() -> None:
+    low, high = (of_standards(np.array([3.0]), carrier, True) for carrier in (2.4e9, 24.25e9))
+    of_mmmagic = [name for name in high if "mmmagic" in name and np.isfinite(high[name])]
+    assert len(of_mmmagic) == 4 and all(np.isnan(low[name]) for name in of_mmmagic)
+    # Table 4.2 of D2.2, as the configuration files of QuaDRiGa have it in log10(f)
+    assert high["arrival_azimuth_spread_mmmagic_deg"] == pytest.approx(
+        10 ** (1.888 - 0.1438 * np.log10(24.25)), rel=0.01
+    )
+    assert high["departure_azimuth_spread_mmmagic_deg"] == pytest.approx(
+        10 ** (2.0711 - 0.2302 * np.log10(24.25)), rel=0.01
+    )
+    assert high["k_factor_cluster_mmmagic_db"] == pytest.approx(5.3218 + 4.7808 * np.log10(24.25), abs=0.1)
+
+
+def test_the_scatter_is_printed_beside_the_median(rooms: PasDataset) -> None:
+    found = statistics(rooms)
+    (row,) = [row for row in found.rows if row["in_sight"]][:1]
+    of_links = found.links.delay_spread_s[found.links.in_sight, 0] * 1e9
+    assert row["delay_spread_sd_ns"] == pytest.approx(np.std(of_links[np.isfinite(of_links)]))
+    assert f"{row['delay_spread_ns']:.1f} ± {row['delay_spread_sd_ns']:.1f}" in str(found)
+
+
 def test_weak_paths_count_for_the_power_alone_and_silence_has_no_statistics() -> None:
     weak = 10**-2.6  # below the window of 25 dB
     paths = ragged([2, 0, 1], [1.0, weak, 1.0], delay_s=np.array([0, 1e-6, 0]))
@@ -132,7 +164,7 @@ def test_the_table_of_38901_is_that_of_tr3gpp(in_sight: bool) -> None:
         assert known[ours] == pytest.approx(10 ** (a + b * np.log10(25.25)))
         assert lower[ours] == low[ours]
     if in_sight:
-        assert float(theirs.mu_K) == known["k_factor_38901_db"]
+        assert float(theirs.mu_K) == known["k_factor_cluster_38901_db"]
     modelled = _evaluated("LOS", distance_m, 24.25)
     if not in_sight:
         modelled = np.maximum(modelled, _evaluated("NLOS", distance_m, 24.25))

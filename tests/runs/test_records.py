@@ -46,10 +46,10 @@ def test_numbers_are_those_that_are_stored(path: Path) -> None:
     ssim_by_tx = ((0.1234, -0.5), (1.0,), tuple(np.linspace(-0.5, 0.7468, 1001).round(4).tolist()))
     findings = {"planes": [{"distance_m": 2.59996491812, "std_m": 1.70976e-05}], "blend": "none"}
     summary = make_summary(0.123456789)
-    record = make_record(scores={"ssim": summary}, ssim_by_tx=ssim_by_tx, findings=findings)
+    record = make_record(scores={"ssim": summary}, ssim_by_tx=ssim_by_tx, findings=findings, cell_of_tx=(2, 0, 1))
     append(path, record)
     assert read(path).records == (record,)
-    assert record.ssim_by_tx == ssim_by_tx
+    assert (record.ssim_by_tx, record.cell_of_tx) == (ssim_by_tx, (2, 0, 1))
     assert record.scores["ssim"].median == 0.12345679
     np.testing.assert_allclose(record.scores["ssim"].quantiles, summary.quantiles, atol=0.5e-4)
     assert record.findings == {"planes": [{"distance_m": 2.5999649, "std_m": 1.71e-05}], "blend": "none"}
@@ -197,6 +197,8 @@ def edited(record: SealedModel, place: str, value: object) -> str:
         ("ssim_by_tx.0", "AAAA"),
         ("ssim_by_tx.0", pack([0.5, 0.25], 1e-4)[:-8]),
         ("ssim_by_tx.0", base64.b64encode(zlib.compress(b"123")).decode()),
+        ("cell_of_tx", "?"),
+        ("cell_of_tx", [-1]),
         ("job", None),
         ("curve.0.seconds", "NaN"),
         ("curve.0.seconds", -1.0),

@@ -3,10 +3,10 @@
 They are computed from the paths to the array centre, which are stored or traced again. Path gains include both
 antennas' patterns, so a path loss is that of isotropic antennas if both are (`pattern = "iso"`).
 
-The values of standards are medians: of 3GPP TR 38.901 V19 (Tables 7.4.1-1, 7.5-6 and 7.5-10, indoor office), of
-Recommendation ITU-R P.1238 (site-general model, office), of the mmMAGIC project (deliverable D2.2, 6 to 100 GHz,
-indoor), and of small rooms: the delay spread by the rule of 38.901 for a hall of given volume and surface, and the
-decay of room electromagnetics (Andersen et al., 2007).
+The standards are medians: of 3GPP TR 38.901 V19 (Tables 7.4.1-1, 7.5-6 and 7.5-10, indoor office), of Recommendation
+ITU-R P.1238 (site-general model, office), of the mmMAGIC project (deliverable D2.2, indoor, for 6 GHz and up), and of
+small rooms: the delay spread by the rule of 38.901 for a hall of given volume and surface, and the decay of room
+electromagnetics (Andersen et al., 2007).
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, format_ghz
 
 WINDOW_DB = 25.0
+CLUSTER_S = 3.91e-9  # of delays in a cluster of 38.901, whose K is that of its first
 MECHANISMS = ("direct", "reflected", "transmitted", "diffracted", "diffuse")
 # Of each spread, a and b of log10(value) = a + b·log10(1 + f), f in GHz, in sight and not, in seconds and degrees. In
 # 38.901 the downlink leaves the array, so that its departures (lgASD, lgZSD) are our arrivals.
 _SPREADS = {
     "delay_spread_s": {"38901": ((-7.692, -0.01), (-7.173, -0.28)), "mmmagic": ((-7.75, -0.13), (-7.58, -0.01))},
-    "arrival_azimuth_spread_deg": {"38901": ((1.60, 0.0), (1.62, 0.0))},
+    "arrival_azimuth_spread_deg": {"38901": ((1.60, 0.0), (1.62, 0.0)), "mmmagic": ((1.90, -0.15), (1.70, 0.11))},
     "departure_azimuth_spread_deg": {
         "38901": ((1.781, -0.19), (1.863, -0.11)),
         "mmmagic": ((2.09, -0.24), (1.863, -0.11)),
@@ -55,9 +56,10 @@ class LinkStatistics:
     `WINDOW_DB` below the strongest, where diffuse ones count by their power in each nanosecond. Delay spreads are the
     rms of delays weighted by power, and angular spreads the circular standard deviation √(−2·ln|Σ P·exp(jφ) / Σ P|)
     (3GPP TR 38.901, Annex A), in world axes, of arrival at the array and of departure from the transmitter.
-    `k_factor_db` is the power of the direct path over that of all others, and nan unless there are both. The last axis
-    of `power_share` has the `MECHANISMS`: the mechanism of a path is the last of this order among its interactions, so
-    a path that is both reflected and transmitted is transmitted.
+    `k_factor_db` is the power of the direct path over that of all others, and `k_factor_cluster_db` that of all paths
+    within `CLUSTER_S` of the direct one over that of later ones, as standards and sounders have it; both are nan where
+    either power is. The last axis of `power_share` has the `MECHANISMS`: a path is what comes last in this order of
+    what it meets, so that one which is both reflected and transmitted is transmitted.
     """
 
     tx_index: Int[IntArray, "n"]
@@ -71,6 +73,7 @@ class LinkStatistics:
     departure_azimuth_spread_deg: Float[FloatArray, "n F"]
     departure_zenith_spread_deg: Float[FloatArray, "n F"]
     k_factor_db: Float[FloatArray, "n F"]
+    k_factor_cluster_db: Float[FloatArray, "n F"]
     num_paths: Float[FloatArray, "n F"]
     power_share: Float[FloatArray, "n F 5"]
 
@@ -94,8 +97,9 @@ class ChannelStatistics:
     def rows(self) -> list[dict[str, Any]]:
         """A row for the transmitters in sight, and one for those that are not, at each carrier, if there are any.
 
-        Names end in units; those of the standards end in their names. Values are medians, except the exponent (least
-        squares), differences (`path_loss_above_…_db`: mean and standard deviation), and shares (means).
+        Names end in units; those of the standards end in their names. Values are medians, of the exponent the least
+        squares, and of a difference (`path_loss_above_…_db`) mean and standard deviation, shares are means. Those of K
+        and the spreads in `…_sd_…` are standard deviations.
         """
         kinds = [(sight, carrier) for sight in (True, False) for carrier in range(len(self.links.carrier_hz))]
         return [row for kind in kinds if (row := self._row(*kind))["links"]]
@@ -112,13 +116,16 @@ class ChannelStatistics:
             above_db = loss_db - standard[f"path_loss_{name}_db"]
             row[f"path_loss_above_{name}_db"] = float(above_db.mean()) if len(rows) else np.nan
             row[f"path_loss_above_{name}_sd_db"] = float(above_db.std()) if len(rows) else np.nan
-        row["k_factor_db"] = _median(links.k_factor_db[rows, carrier])
-        row |= {name: standard[name] for name in ("k_factor_38901_db", "k_factor_mmmagic_db")}
+        for name in ("k_factor_db", "k_factor_cluster_db"):
+            values = getattr(links, name)[rows, carrier]
+            row |= {name: _median(values), name.replace("_db", "_sd_db"): _scatter(values)}
+        row |= {name: standard[name] for name in ("k_factor_cluster_38901_db", "k_factor_cluster_mmmagic_db")}
         row["num_paths"] = _median(links.num_paths[rows, carrier])
         for name in _SPREADS:
             unit, scale = ("ns", 1e9) if name == "delay_spread_s" else ("deg", 1.0)
             stem, _, of_unit = name.rpartition("_")
-            row[f"{stem}_{unit}"] = _median(getattr(links, name)[rows, carrier]) * scale
+            values = getattr(links, name)[rows, carrier] * scale
+            row |= {f"{stem}_{unit}": _median(values), f"{stem}_sd_{unit}": _scatter(values)}
             for kind in ("38901", "mmmagic"):
                 row[f"{stem}_{kind}_{unit}"] = standard[f"{stem}_{kind}_{of_unit}"] * scale
         # 38.901's rule for factory halls (InF), 10^(log10(26·V/S + 14) − 9.35), and the time in which the diffuse power
@@ -135,9 +142,12 @@ class ChannelStatistics:
         parts = [f"statistics of {self.source}; spreads, K and paths within {WINDOW_DB:g} dB of the strongest"]
         if np.isfinite(self.volume_m3):
             parts.append(f"room       {self.volume_m3:.0f} m³ and {self.surface_m2:.0f} m² about the surfaces")
-        powers = ("links", "path loss dB", "over 38.901", "over P.1238", "exponent", "K dB (38.901, mmMAGIC)")
+        powers = (
+            *("links", "path loss dB", "over 38.901", "over P.1238", "exponent"),
+            *("K of the ray, dB", "K of a cluster (38.901, mmMAGIC)"),
+        )
         spreads = (
-            *("paths", "delay ns (38.901, mmMAGIC, small room, decay)", "azimuth° at array (38.901)"),
+            *("paths", "delay ns (38.901, mmMAGIC, small room, decay)", "azimuth° at array (38.901, mmMAGIC)"),
             *("at transmitter (38.901, mmMAGIC)", "zenith° at array", "at transmitter"),
         )
         for in_sight, title in ((True, "in sight"), (False, "not in sight")):
@@ -153,27 +163,32 @@ def _power_cells(row: dict[str, Any]) -> tuple[str, ...]:
         f"{row[f'path_loss_above_{name}_db']:+.1f} ± {row[f'path_loss_above_{name}_sd_db']:.1f}"
         for name in ("38901", "p1238")
     ]
-    k = _beside([row[f"k_factor{name}_db"] for name in ("", "_38901", "_mmmagic")])
+    of_ray = _beside([row["k_factor_db"]], row["k_factor_sd_db"])
+    cluster = [row[f"k_factor_cluster{name}_db"] for name in ("", "_38901", "_mmmagic")]
+    k = of_ray, _beside(cluster, row["k_factor_cluster_sd_db"])
     shares = [f"{row[f'share_{name}']:.1%}" for name in MECHANISMS]
     loss_db, exponent = f"{row['path_loss_db']:.1f}", f"{row['path_loss_exponent']:.2f}"
-    return format_ghz(row["carrier_ghz"] * 1e9), str(row["links"]), loss_db, *above, exponent, k, *shares
+    return format_ghz(row["carrier_ghz"] * 1e9), str(row["links"]), loss_db, *above, exponent, *k, *shares
 
 
 def _spread_cells(row: dict[str, Any]) -> tuple[str, ...]:
     delays = ("", "_38901", "_mmmagic", "_small_room", "_room_decay")
     angles = {
-        name: _beside([row[f"{name}_spread{of}_deg"] for of in ("", "_38901", "_mmmagic")])
+        name: _beside(
+            [row[f"{name}_spread{of}_deg"] for of in ("", "_38901", "_mmmagic")], row[f"{name}_spread_sd_deg"]
+        )
         for name in ("arrival_azimuth", "departure_azimuth", "arrival_zenith", "departure_zenith")
     }
-    delay = _beside([row[f"delay_spread{name}_ns"] for name in delays])
+    delay = _beside([row[f"delay_spread{name}_ns"] for name in delays], row["delay_spread_sd_ns"])
     return format_ghz(row["carrier_ghz"] * 1e9), f"{row['num_paths']:.0f}", delay, *angles.values()
 
 
-def _beside(values: list[float]) -> str:
-    """Our value, and those of others in brackets, without unknown ones."""
+def _beside(values: list[float], scatter: float) -> str:
+    """Our median and the standard deviation, and the values of others in brackets, what is not known left out."""
     own, *others = (f"{value:.1f}" for value in values)
     known = [other for other in others if other not in ("nan", "inf")]
-    return f"{own.replace('nan', '–')} ({', '.join(known)})" if known else own.replace("nan", "–")
+    ours = f"{own} ± {scatter:.1f}".replace(" ± nan", "").replace("nan", "–")
+    return f"{ours} ({', '.join(known)})" if known else ours
 
 
 def _aligned(rows: list[tuple[str, ...]]) -> str:
@@ -241,17 +256,19 @@ def of_standards(distance_m: Float[FloatArray, "n"], carrier_hz: float, in_sight
     seen = 32.4 + 17.3 * decades + 20 * np.log10(carrier_ghz)
     unseen = np.maximum(seen, 17.3 + 38.3 * decades + 24.9 * np.log10(carrier_ghz))
     alpha, beta, gamma = (1.46, 34.62, 2.03) if in_sight else (2.46, 29.53, 2.38)
+    is_high = carrier_ghz >= 6
     told: dict[str, Any] = {
         "path_loss_38901_db": seen if in_sight else unseen,
         "path_loss_p1238_db": 10 * alpha * decades + beta + 10 * gamma * np.log10(carrier_ghz),
-        "k_factor_38901_db": 7.0 if in_sight else np.nan,
-        "k_factor_mmmagic_db": float(4.9 + 5 * np.log10(1 + carrier_ghz)) if in_sight else np.nan,
+        "k_factor_cluster_38901_db": 7.0 if in_sight else np.nan,
+        "k_factor_cluster_mmmagic_db": float(4.9 + 5 * np.log10(1 + carrier_ghz)) if in_sight and is_high else np.nan,
     }
     for name, laws in _SPREADS.items():
         stem, _, unit = name.rpartition("_")
-        for kind, least_ghz in (("38901", 6.0), ("mmmagic", 0.0)):  # below 6 GHz, 38.901 takes that of 6 GHz indoors
-            constant, slope = laws[kind][0 if in_sight else 1] if kind in laws else (np.nan, np.nan)
-            told[f"{stem}_{kind}_{unit}"] = float(10 ** (constant + slope * np.log10(1 + max(least_ghz, carrier_ghz))))
+        for kind in ("38901", "mmmagic"):  # below 6 GHz, 38.901 takes that of 6 GHz indoors, and mmMAGIC says nothing
+            is_told = kind in laws and (is_high or kind == "38901")
+            constant, slope = laws[kind][0 if in_sight else 1] if is_told else (np.nan, np.nan)
+            told[f"{stem}_{kind}_{unit}"] = float(10 ** (constant + slope * np.log10(1 + max(6.0, carrier_ghz))))
     return told
 
 
@@ -284,11 +301,14 @@ def of_paths(paths: RaggedPaths, carrier: int, window_db: float = WINDOW_DB) -> 
         length = np.clip(np.hypot(east, north) / near_power, np.finfo(float).tiny, 1)
         return np.asarray(np.degrees(np.sqrt(-2 * np.log(length))))
 
-    direct = total(near * (mechanism == 0))
-    others = total(near * (mechanism != 0))
-    both = (direct > 0) & (others > 0)
-    k_factor_db = np.full(num_tx, np.nan)
-    k_factor_db[both] = 10 * np.log10(direct[both] / others[both])
+    first_s = np.full(num_tx, np.inf)
+    np.minimum.at(first_s, tx[mechanism == 0], paths.delay_s[mechanism == 0])  # inf where no path is direct
+
+    def k_factor_db(is_first: Bool[NDArray[np.bool_], "P"]) -> Float[FloatArray, "T"]:
+        first, others = total(near * is_first), total(near * ~is_first)
+        both = (first > 0) & (others > 0)
+        return np.where(both, 10 * np.log10(np.where(both, first, 1) / np.where(both, others, 1)), np.nan)
+
     shares = [total(power * (mechanism == kind)) / all_power for kind in range(len(MECHANISMS))]
     return {
         "path_loss_db": -10 * np.log10(all_power),
@@ -297,7 +317,8 @@ def of_paths(paths: RaggedPaths, carrier: int, window_db: float = WINDOW_DB) -> 
         "arrival_zenith_spread_deg": angular_spread_deg(paths.arrival_elevation_rad),
         "departure_azimuth_spread_deg": angular_spread_deg(paths.departure_azimuth_rad),
         "departure_zenith_spread_deg": angular_spread_deg(paths.departure_elevation_rad),
-        "k_factor_db": k_factor_db,
+        "k_factor_db": k_factor_db(mechanism == 0),
+        "k_factor_cluster_db": k_factor_db(np.abs(paths.delay_s - first_s[tx]) <= CLUSTER_S),
         "num_paths": np.where(strongest > 0, total((power >= least).astype(np.float64)), np.nan),
         "power_share": np.stack(shares, axis=-1),
     }
@@ -315,6 +336,11 @@ def _mechanism(paths: RaggedPaths) -> Int[IntArray, "P"]:
 def _median(values: Float[FloatArray, "n"]) -> float:
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else float("nan")
+
+
+def _scatter(values: Float[FloatArray, "n"]) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.std()) if len(known) > 1 else float("nan")
 
 
 def _exponent(loss_db: Float[FloatArray, "n"], distance_m: Float[FloatArray, "n"]) -> float:

@@ -18,7 +18,15 @@ from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Int
-from pydantic import AfterValidator, Field, PlainSerializer, ValidationError, WrapValidator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    WrapValidator,
+    model_validator,
+)
 from pydantic_core import from_json
 
 from xfreqbench.errors import DataError
@@ -132,6 +140,11 @@ ScoresByTransmitter = Annotated[
     WrapValidator(_unpacked_by_tx),
     PlainSerializer(_pack_by_tx, when_used="json"),
 ]
+Cells = Annotated[
+    tuple[Count, ...],
+    BeforeValidator(partial(unpack, step=1)),
+    PlainSerializer(partial(pack, step=1), when_used="json"),
+]
 Findings = Annotated[dict[str, Any], AfterValidator(_rounded_within)]
 
 
@@ -206,6 +219,7 @@ class RunRecord(SealedModel):
       empty for a fit without a limit, and for a method that yielded only once.
     * `ssim_by_tx` holds the SSIM of every test sample, rounded to four decimals: a list for each tested transmitter,
       in the order of their indices.
+    * `cell_of_tx` has for each of these transmitters the number of its cell, a square metre of the floor.
     * `nearest_trained_m` is the median distance from a tested transmitter to the nearest trained one.
     * `code_sha256` is the hash of the method's code, see `xfreqbench.methods.registry.code_sha256`.
     * `findings` is what the method says it has learned.
@@ -252,6 +266,7 @@ class RunRecord(SealedModel):
     fit_processor_seconds: Seconds | None = None
     trained_band_hz: tuple[Amount, Amount] | None = None
     removed_predictions_sha256: Sha256 | None = None
+    cell_of_tx: Cells = ()
 
     @model_validator(mode="after")
     def _require_own_median(self) -> RunRecord:

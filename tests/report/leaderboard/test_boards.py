@@ -2,13 +2,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from tests.support.stored_records import SPLITS, external, make_record
+from xfreqbench.maps.metrics import quantiles
 from xfreqbench.methods.contract import BUDGETS, Budget
 from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.report.leaderboard.boards import boards, pooled_quantiles, short_commit, short_name
 from xfreqbench.runs.records import Job, RunRecord
+from xfreqbench.runs.scoring import summaries
 
 
 def seeded(ssim: float, seed: int, split: str = SPLITS[0], **changes):
@@ -175,12 +178,21 @@ def test_a_trivial_predictor_that_was_added_later_sets_skill_where_it_was_run() 
     assert not alone.best_trivial
 
 
-def test_quantiles_of_several_seeds_are_those_of_their_samples_together() -> None:
-    low, high = seeded(0.5, 0), seeded(0.9, 1)
-    pooled = pooled_quantiles([low, high], "ssim")
-    both = sorted([*low.scores["ssim"].quantiles, *high.scores["ssim"].quantiles])
-    assert (pooled[0], pooled[-1]) == (both[0], both[-1])
-    assert pooled[50] == pytest.approx(both[100], abs=0.01)  # a step between two of the 202 values
+def test_pooled_quantiles_are_those_of_all_samples_together() -> None:
+    draws = [np.random.default_rng(seed).beta(9 - 2 * seed, 2, 4001).round(4) for seed in range(3)]
+    exact = quantiles(np.concatenate(draws), np.linspace(0, 1, 101).tolist())
+    records = []
+    for seed, ssim in enumerate(draws):
+        scores = summaries({"ssim": ssim}, np.full(len(ssim), 1e9), np.arange(len(ssim)))
+        records.append(seeded(float(np.median(ssim)), seed, **scores))
+    assert pooled_quantiles(records, "ssim") == exact.tolist()
+    without = [record.model_copy(update={"ssim_by_tx": ()}) for record in records]
+    pooled = np.array(pooled_quantiles(without, "ssim"))
+    assert (pooled[0], pooled[-1]) == (exact[0], exact[-1])
+    level = np.searchsorted(np.sort(np.concatenate(draws)), pooled[1:-1]) / 12003
+    assert level == pytest.approx(np.arange(1, 100) / 100, abs=0.004)  # some way into a step of 0.01, on no side
+    assert np.mean(level - np.arange(1, 100) / 100) == pytest.approx(0, abs=5e-4)
+    assert pooled_quantiles(without[:1], "ssim") == records[0].scores["ssim"].quantiles
 
 
 def test_external_predictions_are_marked_and_a_built_in_name_merges_with_nothing() -> None:

@@ -75,25 +75,6 @@ def test_the_matrix_of_skill_has_the_skill_of_each_board(written: tuple[Path, ..
     assert matrix == {"board": "office, lofo", "ours": "0.500"}
 
 
-def test_a_method_that_gains_little_by_more_maps_is_called_flat(tmp_path: Path) -> None:
-    ssim = {
-        ("ours", "quick"): 0.90, ("ours", "converged"): 0.9012,
-        ("theirs", "quick"): 0.90, ("theirs", "converged"): 0.91, ("theirs", "minutes"): 0.95,
-        ("worse", "quick"): 0.90, ("worse", "converged"): 0.89,
-        ("hasty", "quick"): 0.90, ("hasty", "minutes"): 0.90,
-    }  # fmt: skip
-    for (method, lane), value in ssim.items():
-        store(tmp_path, with_job(make_record(method, value), budget=BUDGETS[lane]))
-    write_report(tmp_path, tmp_path / "B.md", tmp_path / "all")
-    text = (tmp_path / "B.md").read_text("utf-8")
-    gains = {method: rows_of(text, method)[-1]["quick → converged"] for method, _ in ssim}
-    assert gains == {"ours": "+0.0012, flat", "theirs": "+0.0100", "worse": "-0.0100, flat", "hasty": "–"}
-
-
-def test_the_stability_suite_is_summed_up_by_area(written: tuple[Path, ...]) -> None:
-    assert rows_of(written[0].read_text("utf-8"), "all") == [{"area": "all", "cases": "9", "failed": "1"}]
-
-
 def test_findings_name_the_best_method_and_what_the_papers_idea_adds(tmp_path: Path) -> None:
     def stored(method: str, shift: float, *overrides: str) -> list[RunRecord]:
         return [
@@ -113,8 +94,10 @@ def test_findings_name_the_best_method_and_what_the_papers_idea_adds(tmp_path: P
 
     best, idea_adds = findings(*records)
     assert "`xfreq-gs` is best" in best and "The next, `fixed-frequency-gs`" in best and "1 of the 1 boards" in best
-    said = re.search(r"by (0\.0\d+) \[0\..*with our aids and by 0\.0.* without them \(`lofo` at 24.25GHz\)", idea_adds)
-    assert said is not None and 0.03 < float(said[1]) < 0.05
+    parts, together = idea_adds.split(" All three: ")
+    assert parts.count("not run yet (`xfreqbench benchmark --preset equal-terms`)") == 2
+    told = re.match(r"with our aids (0\.0\d+) \[0\..*; without them 0\.0.* \(`lofo` at 24.25GHz\)", together)
+    assert told is not None and 0.03 < float(told[1]) < 0.05
     elsewhere = [
         with_job(record, split="lofo-1GHz")
         for method in ("xfreq-gs", "fixed-frequency-gs")
@@ -123,6 +106,18 @@ def test_findings_name_the_best_method_and_what_the_papers_idea_adds(tmp_path: P
     assert findings(*records, *elsewhere)[-1] == idea_adds, (
         "a carrier that those without aids were not run on counts for none"
     )
+    for change, shift in (("sees_carrier=false", 0.122), ("latent=0", 0.09), ("max_spread=1", 0.12)):
+        records += stored("xfreq-gs", shift, "aided=false", change)  # told the carrier it has 0.12
+    alone = findings(*records)[-1].split(" All three: ")[0].split("without them ")[1]
+    adds = [float(number) for number in re.findall(r"(-?0\.\d+) \[", alone)]
+    assert adds == pytest.approx([-0.002, 0.03, 0.0], abs=1e-3) and alone.startswith("the carrier as an input")
+
+
+def test_a_warning_is_said_in_the_same_sentence_as_the_praise(tmp_path: Path) -> None:
+    records = [*of_three_seeds("virtual-source", 0.1, 1), *of_three_seeds("xfreq-gs", 0.0, 20)]
+    write_report(store(tmp_path, *records), tmp_path / "B.md", tmp_path / "all")
+    (best,) = re.findall(r"^1\. (.*)$", (tmp_path / "B.md").read_text("utf-8"), re.MULTILINE)
+    assert "`virtual-source` is best" in best and "inverts what the tracer makes" in best
 
 
 def test_what_got_worse_since_earlier_results_is_told_with_what_is_different(tmp_path: Path) -> None:

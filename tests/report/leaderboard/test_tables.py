@@ -39,12 +39,14 @@ def test_the_summary_goes_by_average_ssim_and_gives_skill() -> None:
     assert rows_of(markdown, "ours")[0] == {
         "rank": "one seed",
         "method": "ours",
+        "whose": "self-reported",
         "2.4GHz": "0.9500",
         "24.25GHz": "0.9500",
         "77GHz": "0.9500",
         "average": "0.9500",
         "± seeds": "–",
         "skill": "0.500",
+        "beam loss (dB)": "0.950",
         "AoA error (°)": "0.95",
         "seeds": "1",
         "fit s": "0.50",
@@ -58,6 +60,19 @@ def test_the_summary_goes_by_average_ssim_and_gives_skill() -> None:
 
 TRIVIAL, OURS = make_records()[:4], make_record("ours", 0.95, SPLITS[0])
 TUNED = with_job(make_record("mean-over-frequency", 0.99, SPLITS[0]), overrides=("num_nearest=3",))
+
+
+def test_a_row_says_whose_it_is() -> None:
+    names = ("nearest", "xfreq-gs", "xfreq-gs-paper", "gsrf", "mine:Method")
+    (board,) = boards([*map(make_record, names), external(method="gsrf")])
+    assert {row.label: row.whose for row in board.rows} == {
+        "nearest": "ours",
+        "xfreq-gs": "ours",
+        "xfreq-gs-paper": "ours",
+        "gsrf": "reduced",
+        "mine:Method": "self-reported",
+        "gsrf (external)": "self-reported",
+    }
 
 
 @pytest.mark.parametrize(
@@ -195,7 +210,7 @@ def test_markdown_and_the_page_show_the_same_texts_under_the_same_titles(tmp_pat
     html = write_page(store(tmp_path, *records), tmp_path / "page.html").read_text()
     table = html.partition('<table class="leaderboard">')[2].partition("</table>")[0]
     titles = [unescape(text) for text in re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", table)]
-    cells = re.findall(r"<t[hd](?: scope=\"row\"| data-value)[^>]*>(.*?)</t[hd]>", table)
+    cells = re.findall(r"<t(?:d|h scope=\"row\")[^>]*>(.*?)</t[hd]>", table)
     ours = dict(zip(titles, cells, strict=False))
     written = rows_of(leaderboard_markdown(records), "ours")[0]
     shared = [title for title in titles if title in written]

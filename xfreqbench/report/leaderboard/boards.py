@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
+from importlib.resources import files
 from itertools import chain, count, groupby
 from math import inf, isnan, nan
 from statistics import mean, stdev
@@ -23,6 +25,15 @@ from xfreqbench.methods.contract import BUDGETS, Budget
 from xfreqbench.methods.trivial import EVERY_TRIVIAL, NEEDED_TRIVIAL
 from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord
 from xfreqbench.types import FloatArray
+
+
+@cache
+def published() -> dict[str, Any]:
+    """Numbers that others published for other data, and which of our rows belong to which: `paper_results.toml`.
+
+    They are shown beside ours and never ranked with them.
+    """
+    return tomllib.loads((files("xfreqbench.baselines") / "paper_results.toml").read_text("utf-8"))
 
 
 def _median_ssim(record: RunRecord) -> float:
@@ -88,14 +99,18 @@ class BoardRow:
         changed = [option for option in self.job.overrides if not option.startswith("device=")]
         return "ablation" if changed else "learned"
 
-    @cached_property
-    def drawn(self) -> dict[tuple[str, int], FloatArray]:
-        """What `comparison.medians_of` has drawn, by split and number of resamples."""
-        return {}
+    @property
+    def whose(self) -> str:
+        """`ours`, `reduced`, `authors' code`, `verified`, or `self-reported`; see the legend of a report."""
+        if self.is_external or self.is_trivial:
+            return "ours" if self.is_trivial else "self-reported"
+        method = self.job.method
+        named = {"reduced": published()["reduced"], **published()["whose"]}
+        return next((whose for whose, methods in named.items() if method in methods), "self-reported")
 
     @cached_property
-    def differences(self) -> dict[tuple[tuple[str, ...], str], tuple[float, float]]:
-        """What `Comparison.paired_difference` has found, by splits and the label of the other row of the board."""
+    def drawn(self) -> dict[str, FloatArray]:
+        """What `comparison.medians_of` has drawn, by split."""
         return {}
 
     def average(self, splits: Sequence[str], quantity: Callable[[RunRecord], float] = _median_ssim) -> float:
@@ -156,6 +171,12 @@ class Board:
     def records(self) -> list[RunRecord]:
         """The records of all rows."""
         return [record for row in self.rows for record in row.records]
+
+    @cached_property
+    def cells(self) -> dict[tuple[str, int], tuple[int, ...]]:
+        """The cell of each tested transmitter, by split and their number; older records do not say it."""
+        known = [record for record in self.records if record.cell_of_tx]
+        return {(record.job.split, len(record.cell_of_tx)): record.cell_of_tx for record in known}
 
     @property
     def data_name(self) -> str:
@@ -225,12 +246,6 @@ class Board:
         ordered = sorted(sets, key=lambda splits: (-num_rows[splits], -len(splits), sorted(splits)))
         shown = [splits for splits in ordered if len(splits) > 1] or ordered
         return [tuple(split for split in self.splits if split in splits) for splits in shown]
-
-    def lone_splits(self) -> list[str]:
-        """Splits of rows that cover none of the sets of splits, such as ablations that were run at one carrier."""
-        sets = list(map(set, self.split_sets()))
-        alone = [row for row in self.rows if not any(splits <= row.by_split.keys() for splits in sets)]
-        return [split for split in self.splits if any(split in row.by_split for row in alone)]
 
     def rows_on(self, splits: Sequence[str]) -> list[BoardRow]:
         """The rows that were run on all of these splits, the best average of median SSIM first."""
@@ -429,9 +444,18 @@ def comparable(record: RunRecord) -> tuple[object, ...]:
 
 
 def pooled_quantiles(records: Sequence[RunRecord], metric: str) -> list[float]:
-    """Quantiles from 0 to 1 of the scores of all seeds together; every seed tests equally many maps."""
+    """Quantiles from 0 to 1 of the scores of all records together; each of them tests equally many maps.
+
+    Those of SSIM are of the samples where the records hold them. Of other metrics they are of the records' quantiles,
+    of which the smallest and the largest stand for half a step of one per cent, and every other one for a whole step.
+    """
+    levels = np.linspace(0, 1, NUM_QUANTILES)
+    if metric == "ssim" and all(record.ssim_by_tx for record in records):
+        of_tx = chain.from_iterable(record.ssim_by_tx for record in records)
+        return quantiles(np.fromiter(chain.from_iterable(of_tx), np.float64), levels.tolist()).tolist()
+    weight = np.where((levels == 0) | (levels == 1), 0.5, 1.0)
     pooled = np.concatenate([record.scores[metric].quantiles for record in records])
-    return quantiles(pooled, np.linspace(0, 1, NUM_QUANTILES).tolist()).tolist()
+    return np.quantile(pooled, levels, weights=np.tile(weight, len(records)), method="inverted_cdf").tolist()
 
 
 def short_name(split: str) -> str:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
-from functools import cache
-from importlib.resources import files
 from typing import Any
 
 from xfreqbench.data.splits import HELD_OUT_RECEIVER, VALIDATIONS
 from xfreqbench.maps.metrics import METRICS, NUM_RESAMPLES
 from xfreqbench.methods.trivial import EVERY_TRIVIAL, NEEDED_TRIVIAL
-from xfreqbench.report.leaderboard.boards import Board, BoardRow, machine_name, record_key, short_commit, short_name
+from xfreqbench.report.leaderboard.boards import (
+    Board,
+    BoardRow,
+    machine_name,
+    published,
+    record_key,
+    short_commit,
+    short_name,
+)
 from xfreqbench.report.leaderboard.columns import COSTS, metric_title
 from xfreqbench.report.leaderboard.comparison import MIN_SEEDS, Comparison
 from xfreqbench.runs.records import LEAST_CORE_SHARE, RunRecord
@@ -179,22 +184,12 @@ def _busy_note(rows: Sequence[BoardRow]) -> str:
     return said if busy else ""
 
 
-@cache
-def published() -> dict[str, Any]:
-    """Numbers that others published for other data, and which of our rows belong to which: `paper_results.toml`.
-
-    They are shown beside ours and never ranked with them.
-    """
-    return tomllib.loads((files("xfreqbench.baselines") / "paper_results.toml").read_text("utf-8"))
-
-
 def reduced_statement(rows: Sequence[BoardRow]) -> str:
     """What reduced re-implementations among the rows leave out of the systems they are named for; empty without any."""
-    noted = {each["method"]: each for each in published()["counterpart"] if "note" in each}
+    noted = published()["reduced"]
     named = dict.fromkeys(row.job.method for row in rows if not row.is_external and row.job.method in noted)
-    reduced = "; ".join(f"{method} for {noted[method]['name']}: {noted[method]['note']}" for method in named)
-    said = f"Reduced re-implementations on one renderer, not the authors' programs, stand here: {reduced}."
-    return said if named else ""
+    reduced = "; ".join(f"{method} for {noted[method]}" for method in named)
+    return f"These are reduced re-implementations, not the authors' programs: {reduced}." if named else ""
 
 
 def sources_of(rows: Sequence[BoardRow]) -> list[dict[str, Any]]:
@@ -208,23 +203,25 @@ def legend(is_short: bool = False) -> str:
     terms = {
         metric_title(name): metric.description
         for name, metric in METRICS.items()
-        if not is_short or name == "aoa_error"
+        if not is_short or name in ("aoa_error", "beam_loss")
     }
+    terms["whose"] = (
+        "*ours*: of this project; *reduced*: our small version of a published system; *authors' code*: their program, "
+        "run here; *self-reported*: run by others; *verified*: run by others, and repeated here"
+    )
     if not is_short:
         terms["mean**, **10th pct."] = "mean SSIM of the test maps, and the SSIM that a tenth of them lies below"
     terms |= {
-        "skill": "how much better a method is than the best predictor that learns nothing: 0 is as good, 1 is perfect, "
-        "below 0 is worse. It is 1 − (1 − SSIM) / (1 − SSIM of the best of "
-        f"{', '.join(EVERY_TRIVIAL)} on the same split). A dash: one of the first {len(NEEDED_TRIVIAL)} of these was "
-        "not run. In every resample the best is found anew",
-        "[low, high]": f"95 % interval, from {NUM_RESAMPLES:,} bootstrap resamples. A resample draws transmitters with "
-        "all their samples, the same ones for every method (paired), and seeds; as seeds are few, their spread is "
-        "widened by Student's t. Of a hundred pairs of equally good methods, about five are still told apart by "
-        "chance. A bound that decides which is better, and that is not known to a tenth of its distance from zero, is "
-        "taken from 16,000 resamples, and as 0 where these do not suffice",
-        "rank": "the best and the worst place that the intervals of the differences allow, in a table that is sorted "
-        "by averages; not corrected for the number of comparisons. Words say why there is no rank: fewer than "
-        f"{MIN_SEEDS} seeds (a trivial predictor needs one), or a budget in seconds on another machine than most",
+        "skill": "the share of the best baseline's error, 1 − SSIM, that a method removes: 0 is as good, 1 is perfect, "
+        f"below 0 is worse. Baselines are {', '.join(EVERY_TRIVIAL)}, on the same split. A dash: one of the first "
+        f"{len(NEEDED_TRIVIAL)} was not run. In every resample the best is found again",
+        "[low, high]": f"95 % interval, from {NUM_RESAMPLES:,} bootstrap resamples. A resample draws square metres of "
+        "the floor with all transmitters there, the same ones for every method (paired), and seeds; as seeds are few, "
+        "their spread is widened by Student's t. Squares, because scores of near transmitters are alike: 1 m apart, "
+        "their correlation is half of that of neighbours. Five of a hundred intervals miss the true value",
+        "rank": "the best and the worst place that the differences allow, in a table that is sorted by averages. Two "
+        "methods are told apart at 5 %, corrected for the number of all pairs (Holm). Words say why there is no rank: "
+        f"fewer than {MIN_SEEDS} seeds (a baseline needs one), or a budget in seconds on another machine than most",
     }
     if not is_short:
         terms["seeds**, **± seeds"] = (

@@ -129,6 +129,7 @@ def columns(comparison: Comparison, names: Sequence[str]) -> list[_Column]:
         "best rank": _Column("best rank", "best place that the intervals leave open", place(0), ".0f"),
         "worst rank": _Column("worst rank", "worst place that the intervals leave open", place(1), ".0f"),
         "method": _Column("method", "with what differs from a plain run", None, words=lambda row: row.short_label),
+        "whose": _Column("whose", "ours, or of others: see below", None, words=lambda row: row.whose),
         "origin": _Column("origin", "machine, code and data, told below the table", None, words=origins),
         "ssim": ssim,
         "average": replace(ssim, title="average" if len(splits) > 1 else short_name(splits[0]), is_board_order=True),
@@ -142,7 +143,7 @@ def columns(comparison: Comparison, names: Sequence[str]) -> list[_Column]:
         ),
         "skill": _Column(
             "skill",
-            "share of what the best trivial predictor leaves open that is closed, and its 95 % interval",
+            "share of the best baseline's error that is removed, and its 95 % interval",
             average(board.skill),
             ".3f",
             bounds=comparison.skill_interval,

@@ -16,7 +16,7 @@ import numpy as np
 
 from xfreqbench.report.leaderboard.boards import Board, short_name, slug_of
 from xfreqbench.report.leaderboard.columns import cost_of
-from xfreqbench.runs.records import CURVE_SHARES, BenchRecord, CurvePoint, RunRecord, curve_positions
+from xfreqbench.runs.records import CURVE_SHARES, BenchRecord, CurvePoint, curve_positions
 
 Point = TypeVar("Point")
 
@@ -48,7 +48,11 @@ def best_trivial(board: Board, split: str) -> tuple[float, float] | None:
     """Seconds and median SSIM on the sample of maps of the best trivial predictor; None where no samples are stored."""
     rows = [row for row in board.rows if row.is_trivial and split in row.by_split]
     records = [row.by_split[split][0] for row in rows if row.by_split[split][0].ssim_by_tx]
-    reached = [(cost_of(record, "seconds"), _sampled_median(record)) for record in records]
+    reached = []
+    for record in records:
+        ssim = np.concatenate([np.asarray(samples, np.float64) for samples in record.ssim_by_tx])
+        shown = ssim[curve_positions(record.split_sha256, len(ssim))]
+        reached.append((cost_of(record, "seconds"), float(np.median(shown))))
     return max(reached, key=lambda point: point[1], default=None)
 
 
@@ -64,11 +68,6 @@ def pareto_front(
         if not front or score(point) > score(front[-1]):
             front.append(point)
     return front
-
-
-def _sampled_median(record: RunRecord) -> float:
-    ssim = np.concatenate([np.asarray(samples, np.float64) for samples in record.ssim_by_tx])
-    return float(np.median(ssim[curve_positions(record.split_sha256, len(ssim))]))
 
 
 def _by_share(curve: Sequence[CurvePoint]) -> list[CurvePoint | None]:

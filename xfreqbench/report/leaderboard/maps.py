@@ -269,9 +269,11 @@ def gallery(
             absent[label] = record
         else:
             cases[label] = [*_cases(known, record.id, pictures)]
-    missing = ""
-    if absent:
-        missing = _missing_predictions(board, absent) if dataset or cases else _missing_data(board)
+    path = board.records[0].job.dataset
+    made = f"xfreqbench generate {board.scene} -o {path}" if "solver" in board.settings else "xfreqbench import"
+    missing = f"No pictures: {path}, {board.data_name}, is not here. `{made}` makes it." if absent else ""
+    if absent and (dataset or cases):
+        missing = _missing_predictions(board, absent)
     return {"split": short_name(split), "cases": cases, "pictures": pictures, "missing": missing}
 
 
@@ -310,12 +312,6 @@ def _draw(
         names[kind] = hashlib.sha256(png).hexdigest()[:12]
         pictures[names[kind]] = b64encode(png).decode()
     return names
-
-
-def _missing_data(board: Board) -> str:
-    path = board.records[0].job.dataset
-    made = f"xfreqbench generate {board.scene} -o {path}" if "solver" in board.settings else "xfreqbench import"
-    return f"No pictures: {path}, {board.data_name}, is not here. `{made}` makes it."
 
 
 def _missing_predictions(board: Board, absent: Mapping[str, RunRecord]) -> str:

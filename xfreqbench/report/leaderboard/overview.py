@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
-from math import isnan, nan
 
-from xfreqbench.methods.contract import BUDGETS
-from xfreqbench.report.drawing.markdown import ABSENT, heading, number, paragraph, prose, table, with_interval
-from xfreqbench.report.leaderboard.boards import Board, BoardRow, budget_text, short_name
+from scipy.stats import linregress
+
+from xfreqbench.report.drawing.markdown import ABSENT, heading, number, prose, table, with_interval
+from xfreqbench.report.leaderboard.boards import Board, BoardRow, published, short_name
 from xfreqbench.report.leaderboard.captions import facts, leak_statement, legend
 from xfreqbench.report.leaderboard.columns import BRIEF, columns
 from xfreqbench.report.leaderboard.comparison import Comparison
 from xfreqbench.report.leaderboard.tables import ranking_table
 from xfreqbench.report.leaderboard.unseen_rooms import ROOMS, rooms_overview
-from xfreqbench.runs.records import BenchRecord
+from xfreqbench.runs.records import BenchRecord, RunRecord
 
 
 def overview_markdown(
@@ -40,11 +40,11 @@ def overview_markdown(
         *_provenance(ranked),
         *_findings(compared, of_scene),
         *_main_board(compared, pages, scene),
+        *_worth(next((each for each in compared if each.board.scene == scene), None)),
         *_skill_matrix(compared),
         *rooms_overview(benches, pages.get(ROOMS, "")),
         *_time(of_scene, pages),
         claims,
-        *_measured_parts(benches, measurements_page),
         worse,
         f"Every board, measurement and figure: {links}. CSV files beside these pages have every split, metric, "
         "carrier, pair of methods and learning curve.",
@@ -67,10 +67,10 @@ def main_boards(ranked: Sequence[Board]) -> list[Board]:
     for board in ranked:
         by_place.setdefault((board.scene, board.protocol), []).append(board)
 
-    def num_plain_runs(board: Board) -> int:
-        return sum(len(row.records) for row in board.rows if row.family != "ablation")
-
-    return [max(boards, key=num_plain_runs) for boards in by_place.values()]
+    return [
+        max(boards, key=lambda board: sum(len(row.records) for row in board.rows if row.family != "ablation"))
+        for boards in by_place.values()
+    ]
 
 
 def _first_comparison(board: Board) -> Comparison:
@@ -118,10 +118,19 @@ def _best(lofo: Comparison | None, compared: Sequence[Comparison]) -> Iterator[s
     competing = [methods for methods in fitted if first.job.method in methods]
     num_won = sum(methods[0] == first.job.method for methods in competing)
     second = f" The next, `{others[0].short_label}`, has {_skill(lofo, others[0])}." if others else ""
+    at = {
+        each.board.scene: row.average(each.splits, each.board.skill)
+        for each in compared
+        for row in (_fitted(each) if each.board.protocol == "lofo" else ())
+        if row.job.method == first.job.method
+    }
+    lowest = min(at, key=lambda scene: at[scene])
     yield (
         f"At a carrier that was never trained on (`lofo`, {lofo.board.scene}) `{first.short_label}` is best: its "
-        f"skill, the share that it closes of what the best trivial predictor leaves open, is {_skill(lofo, first)}."
-        f"{second} It is first on {num_won} of the {len(competing)} boards of known rooms on which it was run."
+        f"skill, the share of the best baseline's error that it removes, is {_skill(lofo, first)}"
+        + (f"; its lowest on `lofo` is {number(at[lowest], 3)}, in {lowest}" if len(at) > 1 else "")
+        + f".{second} `{first.short_label}` is first on {num_won} of the {len(competing)} boards of known rooms on "
+        f"which it was run. {published()['caution'].get(first.job.method, '')}".rstrip()
     )
 
 
@@ -135,37 +144,59 @@ def _elsewhere(comparison: Comparison | None, where: str) -> Iterator[str]:
     verb = "is" if len(better) == 1 else "are"
     yield (
         f"{where} (`{comparison.board.protocol}`) `{first.short_label}` has a skill of {_skill(comparison, first)}"
-        f"{beside}; {len(better)} of {1 + len(others)} methods {verb} clearly better than the best trivial predictor."
+        f"{beside}; {len(better)} of {1 + len(others)} methods {verb} better than the best baseline."
     )
 
 
 def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
-    """What carrier-conditioned attributes add, with and without the aids that the paper does not have.
+    """What each part of the paper's model adds where it alone is changed, and what all add that a reduction lacks.
 
-    Both are said of the splits that all four rows were run on.
+    Each is said with and without the aids that the paper does not have.
     """
-    found: dict[str, tuple[Board, BoardRow, BoardRow]] = {}
-    for words, pair in (
-        ("with our aids", ("xfreq-gs", "fixed-frequency-gs (aided=true)")),  # whose own settings are without a blend
-        ("without them", ("xfreq-gs (aided=false)", "fixed-frequency-gs (aided=false)")),
+    parts = {
+        "the carrier as an input": "sees_carrier=false",
+        "learned codes of Gaussians": "latent=0",
+        "a spread of footprints for each carrier": "max_spread=1",
+    }
+    alone, together = [], []
+    for words, aids, other in (
+        ("with our aids", (), "fixed-frequency-gs (aided=true)"),  # whose own settings are without a blend
+        ("without them", ("aided=false",), "fixed-frequency-gs (aided=false)"),
     ):
-        for board in of_scene:
-            rows = {row.short_label: row for row in board.rows}
-            if board.protocol == "lofo" and set(pair) <= rows.keys():
-                found.setdefault(words, (board, rows[pair[0]], rows[pair[1]]))
-    every = [row for _, *pair in found.values() for row in pair]
-    said: list[str] = []
-    splits: tuple[str, ...] = ()
-    for words, (board, row, other) in found.items():
-        comparison = Comparison.of(board, *every)
-        if splits := splits or comparison.splits:
-            difference = row.average(comparison.splits) - other.average(comparison.splits)
-            said.append(f"{with_interval(difference, comparison.paired_difference(row, other), 4)} {words}")
-    if splits:
-        yield (
-            "The paper's own idea, attributes that follow the carrier, changes the median SSIM of a fixed-frequency "
-            f"Gaussian field by {' and by '.join(said)} ({_on(splits)})."
+        base, *without = (
+            f"xfreq-gs ({', '.join(sorted(options))})" if options else "xfreq-gs"
+            for options in (aids, *((*aids, change) for change in parts.values()))
         )
+        alone.append((words, _changes(of_scene, base, dict(zip(parts, without, strict=True)))))
+        together.append((words, _changes(of_scene, base, {"": other})))
+    if any(found for _, found in (*alone, *together)):
+        unknown = "not run yet (`xfreqbench benchmark --preset equal-terms`)"
+        yield (
+            f"`xfreq-gs` differs from `fixed-frequency-gs` in three things: {', '.join(parts)}. What each adds to the "
+            "median SSIM, the others unchanged: "
+            + "; ".join(f"{words} {found or unknown}" for words, found in alone)
+            + ". All three: "
+            + "; ".join(f"{words} {found or unknown}" for words, found in together)
+            + ". Where a part was not run alone, it is open which of them does it."
+        )
+
+
+def _changes(of_scene: Sequence[Board], label: str, others: Mapping[str, str]) -> str:
+    """A row's average median SSIM minus those of others, by what each lacks, on the splits of all; empty without."""
+    for board in of_scene:
+        rows = {row.short_label: row for row in board.rows}
+        known = {what: rows[other] for what, other in others.items() if other in rows}
+        if board.protocol != "lofo" or label not in rows or not known:
+            continue
+        row, comparison = rows[label], Comparison.of(board, rows[label], *known.values())
+        if splits := comparison.splits:
+            said = [
+                f"{what} {with_interval(row.average(splits) - other.average(splits), interval, 4)}".strip()
+                for what, other in known.items()
+                for interval in [comparison.difference(row, other)]
+            ]
+            return f"{', '.join(said)} ({_on(splits)})"
+    return ""
 
 
 def _on(splits: Sequence[str]) -> str:
@@ -206,37 +237,40 @@ def _main_board(compared: Sequence[Comparison], pages: Mapping[str, str], scene:
     board = comparison.board
     title = heading(" · ".join(filter(None, (board.scene, board.protocol, board.lane_title))))
     more = f"**{leak_statement(board)}** [The other boards]({pages[scene]})"
-    every = (*BRIEF[:-1], "aoa_error", BRIEF[-1])
+    every = (*BRIEF[:2], "whose", *BRIEF[2:-1], "beam_loss", "aoa_error", BRIEF[-1])
     shown = [name for name in every if name != "splits" or len(comparison.splits) <= 5]
     return [f"## {title}\n\n{more}\n\n{ranking_table(comparison, shown)}"]
 
 
-def _budget_table(lanes: Sequence[Board]) -> list[str]:
-    """The methods that were run with several budgets, on the splits that all of them have; empty without any."""
-    fitted = [(lane, row) for lane in lanes for row in lane.rows if not row.is_trivial and row.family != "ablation"]
-    every = _first_comparison(lanes[0]).splits if lanes else ()
-    splits = [split for split in every if all(split in row.by_split for _, row in fitted)]
-    known = {(row.short_label, lane.lane): row.average(splits) for lane, row in fitted if splits}
-    num_lanes = Counter(label for label, _ in known)
-    rows = {place: value for place, value in known.items() if num_lanes[place[0]] > 1}
-    if not rows:
+def _worth(comparison: Comparison | None) -> list[str]:
+    """What the best methods and the best baseline have in other units than SSIM, and how much .01 of SSIM is in these.
+
+    That is the slope of a line through all rows of the comparison that have a median SSIM of .7 or more.
+    """
+    rows = [row for row in comparison.rows if row.average(comparison.splits) >= 0.7] if comparison else []
+    shown = [row for row in rows if not row.is_trivial][:2] + [row for row in rows if row.is_trivial][:1]
+    if comparison is None or len(rows) < 5 or not all("beam_loss" in row.records[0].scores for row in rows):
         return []
-    header = ["method", *(lane.lane_title or "no budget" for lane in lanes)]
-    body = [
-        [label, *(number(rows.get((label, lane.lane), nan), 4) for lane in lanes)]
-        for label in sorted({label for label, _ in rows})
-    ]
-    caption = f"Average median SSIM on {', '.join(map(short_name, splits))} by budget"
-    few_maps, many_maps = (budget_text(BUDGETS[name]) for name in ("quick", "converged"))
-    if {few_maps, many_maps} <= {lane.lane for lane in lanes}:
-        flat = 0.002  # of SSIM
-        header.append("quick → converged")
-        for line in body:
-            few, many = (rows.get((line[0], lane), nan) for lane in (few_maps, many_maps))
-            gain = many - few  # each of the two fits let its learning rate fall to its own end
-            line.append(ABSENT if isnan(gain) else f"{gain:+.4f}" + (", flat" if gain < flat else ""))
-        caption += f"; *flat*, and so converged, is a method that gains less than {flat} by three times the maps"
-    return [f"{caption}:\n\n{table(header, body)}"]
+    ssim = [row.average(comparison.splits) for row in rows]
+    quantities: dict[str, Callable[[RunRecord], float]] = {
+        "beam loss, median (dB)": lambda record: record.scores["beam_loss"].median,
+        "beam loss that a tenth of the maps exceeds (dB)": lambda record: record.scores["beam_loss"].quantiles[90],
+        "error of the map's powers, median (dB)": lambda record: record.scores["power_error"].median,
+        "AoA error, median (°)": lambda record: record.scores["aoa_error"].median,
+    }
+    body = []
+    for name, quantity in quantities.items():
+        values = [row.average(comparison.splits, quantity) for row in rows]
+        slope = linregress(ssim, values).slope
+        body.append([name, f"{slope / 100:+.3f}", *(number(values[rows.index(row)], 3) for row in shown)])
+    caption = (
+        "Maps of a small array are nearly one lobe, so that SSIM is high for all. *Beam loss* is what is lost when the "
+        f"beam is chosen from the predicted map. First a line through the {len(rows)} methods from .7 up, "
+        f"{comparison.board.scene}, {comparison.board.protocol}. Records have no error of absolute power, since maps "
+        "have a peak of 1."
+    )
+    header = ["", ".01 of SSIM more", *(row.short_label for row in shown)]
+    return [f"## What .01 of SSIM is worth\n\n{caption}\n\n{table(header, body)}"]
 
 
 def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
@@ -260,51 +294,10 @@ def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
 
 
 def _time(of_scene: Sequence[Board], pages: Mapping[str, str]) -> list[str]:
-    """The figure of error against time of the first board that has one, and scores by budget."""
-    if not of_scene:
-        return []
-    first = next((board for board in of_scene if board.time_figure), of_scene[0])
-    folder = pages[first.scene].rpartition("/")[0]
-    link = "/".join(filter(None, [folder, first.time_figure]))
-    words = heading(f"{first.scene} · {first.protocol}")
-    lanes = [board for board in of_scene if (board.data, board.protocol) == (first.data, first.protocol)]
-    figure = [f"![SSIM against seconds of fitting, {words}]({link})"] if first.time_figure else []
-    parts = [*figure, *(_budget_table(lanes) if len(lanes) > 1 else [])]
-    return ["## Error against time", *parts] if parts else []
-
-
-def _measured_parts(benches: Sequence[BenchRecord], page: str) -> list[str]:
-    """The first measurement of some kinds, each with what its columns say."""
-    briefly = {
-        "generate": (
-            "Generator",
-            "All without diffraction, which a row has to name. A cell of a carrier has the median PSNR and its 5th "
-            "percentile in dB, and the median SSIM; *bar* says whether that is as accurate as that page asks.",
-        ),
-        "render": (
-            "Rendering",
-            "N Gaussians, B maps a step, *pairs* of a Gaussian and a direction, milliseconds a map. *Dense* computes "
-            "every Gaussian in every direction, with which values and gradients are compared.",
-        ),
-        "stress": ("Stability", "Extreme inputs beside exact answers."),
-    }
-    first = {record.bench: record for record in reversed(benches)}
-    parts = []
-    for bench, (title, words) in briefly.items():
-        if bench not in first:
-            continue
-        record = first[bench]
-        columns, rows = _by_area(record) if bench == "stress" else (record.columns, record.rows)
-        left = f"{len(rows) - 3} more rows" if len(rows) > 3 else "More"
-        caption = f"{paragraph(record.title, prose)}. {words} [{left}]({page})"
-        parts.append(f"## {heading(title)}\n\n{caption}\n\n{table(columns, rows[:3], prose)}")
-    return parts
-
-
-def _by_area(record: BenchRecord) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """Cases of the stress suite by area: how many there are, and how many failed; failures first, then most cases."""
-    cases = Counter(row[0] for row in record.rows)
-    failed = Counter(row[0] for row in record.rows if row[-1].startswith("FAILED"))
-    ordered = sorted(cases.items(), key=lambda item: (-failed[item[0]], -item[1]))
-    every = [("all", str(cases.total()), str(failed.total()))]
-    return ("area", "cases", "failed"), [*every, *((name, str(count), str(failed[name])) for name, count in ordered)]
+    """The figure of error against time of the first board that has one."""
+    for board in of_scene:
+        if board.time_figure:
+            link = "/".join(filter(None, [pages[board.scene].rpartition("/")[0], board.time_figure]))
+            words = heading(f"{board.scene} · {board.protocol}")
+            return ["## Error against time", f"![SSIM against seconds of fitting, {words}]({link})"]
+    return []

@@ -45,7 +45,10 @@ def write_page(results: Results, output_html: Path, since: Path | None = None) -
     require_page(found, output_html)
     main = main_scene(found.boards)
     boards = sorted(found.boards, key=lambda board: board.scene != main)
-    compared = list(map(_comparisons, boards))
+    # those first in which methods compete, and not trivial predictors alone
+    compared = [
+        sorted(comparisons_of(board), key=lambda found: not any(map(_competes, found.rows))) for board in boards
+    ]
     protocols = list(dict.fromkeys(board.protocol for board in boards))
     content = {
         "boards": [
@@ -101,11 +104,6 @@ def require_page(found: RankedResults, output_html: Path) -> None:
         require_own_table(path)
 
 
-def _comparisons(board: Board) -> list[Comparison]:
-    """The comparisons of a board: those first in which methods compete, and not trivial predictors alone."""
-    return sorted(comparisons_of(board), key=lambda comparison: not any(map(_competes, comparison.rows)))
-
-
 def _competes(row: BoardRow) -> bool:
     return row.family not in ("trivial", "ablation")
 
@@ -130,9 +128,10 @@ def _tables(compared: Sequence[Comparison]) -> dict[str, Any]:
         is_long = len(comparison.splits) > 5
         splits = [] if is_long else ["splits"]
         shown = columns(
-            comparison, ("rank", "method", "average", "skill", *splits, "aoa_error", "seconds", "milliseconds")
+            comparison,
+            ("rank", "method", "average", "skill", *splits, "beam_loss", "aoa_error", "seconds", "milliseconds"),
         )
-        more = ("seeds", "p10", "psnr", "power_error", "beam_loss", "memory", "parameters", "origin", "trained on")
+        more = ("seeds", "p10", "psnr", "power_error", "memory", "parameters", "whose", "origin", "trained on")
         hidden = columns(comparison, (*more, *(["splits"] if is_long else [])))
         sets.append(
             {

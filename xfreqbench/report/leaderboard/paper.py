@@ -16,94 +16,135 @@ import numpy as np
 from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import BUDGETS
 from xfreqbench.report.drawing.markdown import ABSENT, heading, number, prose, table, with_interval
-from xfreqbench.report.leaderboard.boards import Board, BoardRow, budget_text, pooled_quantiles, short_name
-from xfreqbench.report.leaderboard.captions import published
+from xfreqbench.report.leaderboard.boards import Board, BoardRow, budget_text, pooled_quantiles, published, short_name
+from xfreqbench.report.leaderboard.captions import reduced_statement
 from xfreqbench.report.leaderboard.columns import metric_title
-from xfreqbench.report.leaderboard.comparison import Comparison
+from xfreqbench.report.leaderboard.comparison import Comparison, contrast
 from xfreqbench.report.leaderboard.maps import require_own_maps, stored_maps
 from xfreqbench.report.leaderboard.overview import main_boards, main_scene
 from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.system.files import write_text
 
-_DECIMALS = {"ssim": 4, "psnr": 2}
+_PAPERS = "xfreq-gs-paper", "xfreq-gs"  # the paper's method as it has it, and with our aids
 _LEVEL = 90  # per cent of the maps, as in the paper
+_Rows = list[tuple[Board, BoardRow]]
 
 
 def paper_page(found: RankedResults) -> tuple[str, str, dict[str, Callable[[Path], None]]] | None:
     """The page of the paper's claims with a verdict, and of published numbers beside ours, for the main scene.
 
     Before it comes its section on the claims, empty without any; behind it come functions that draw its figures to a
-    path, by their links from the page. Claims are judged in several budgets; tables and figures are of the one with
-    most runs. None where the paper has numbers for no method.
+    path, by their links from the page. None where the paper has numbers for no method.
     """
-    main = main_scene(found.boards)
-    ranked = [board for board in found.boards if board.scene == main]
-    if not any(_is_named(each, row) for each in published()["counterpart"] for board in ranked for row in board.rows):
+    content, ranked = published(), _boards_of(found)
+    methods = {each["method"] for part in content["table"].values() for each in part["ours"].values()}
+    if not methods & {row.job.method for board in ranked for row in board.rows if not row.is_external}:
         return None
-    content, shown = published(), main_boards(ranked)
-    distributions, cdfs = _distributions(shown)
-    maps, grids = _maps(shown, found)
+    distributions, cdfs = _distributions(ranked)
+    maps, grids = _maps(ranked, found)
     claims = _claims_table(ranked)
     caption = (
-        "A claim *holds* where the whole interval of the difference of median SSIM × 1000, paired by transmitters and "
-        "with three seeds of each, lies above zero, and *does not hold* where it lies below. Data, rooms and sizes are "
-        "others than the paper's."
+        "Differences of median SSIM × 1000, on the paper's three carriers or, where one is named, on this one. A claim "
+        "*holds* where the whole interval, paired by transmitters and with three seeds of each method, lies above "
+        "zero, and *does not hold* where it lies below. Data, rooms and sizes are others than the paper's. A dash: not "
+        "run yet; `xfreqbench benchmark --preset converged` runs it."
     )
+    rows = [row for board in ranked for row in board.rows]
     parts = [
         f"{content['citation']}: {content['conditions']}. Their data, rooms and receivers are others than ours, and "
         "the sizes of their models too, so that numbers do not compare. What can be compared are claims: which of two "
         "methods is better, and by how much.",
+        "The paper's method is `xfreq-gs-paper`: the choices of the paper and of its released program, 200,000 maps a "
+        f"fit. `xfreq-gs` is its model in another size, with four aids of ours, 64,000 maps. {reduced_statement(rows)}",
         "## Claims",
         caption,
         claims or "None was measured.",
         "## The paper's tables",
-        "Ours, and the paper's number in round brackets; a median SSIM of ours has its 95 % interval in square ones.",
-        *_papers_tables(content, shown),
+        "A median SSIM of ours has its 95 % interval.",
+        *_papers_tables(ranked),
         *distributions,
         *maps,
     ]
     section = f"## The paper's claims\n\n{caption}\n\n{claims}" if claims else ""
-    return section, "\n\n".join(parts) + "\n", cdfs | grids
+    return section, "\n\n".join(filter(None, parts)) + "\n", cdfs | grids
+
+
+def _boards_of(found: RankedResults) -> list[Board]:
+    """The boards of the main scene, of one data set: of each protocol first that with most runs."""
+    main = main_scene(found.boards)
+    first = main_boards([board for board in found.boards if board.scene == main])
+    data = {board.data for board in first[:1]}
+    others = [board for board in found.boards if board.scene == main and board not in first]
+    return [board for board in (*first, *others) if board.data in data]
+
+
+def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
+    """Whether a row has the named method and options; if no options are named, it has the defaults."""
+    if row.is_external or row.job.method != named["method"]:
+        return False
+    config = row.records[0].config
+    has_options = all(config.get(name) == value for name, value in named.get("config", {}).items())
+    return has_options and ("config" in named or row.family == "learned")
+
+
+def _ours(named: Mapping[str, Any], protocol: str, splits: Sequence[str], ranked: Sequence[Board]) -> _Rows:
+    """Our rows for a row of the paper: of each method that of the first board that has it on all the splits.
+
+    The paper's method comes before that with our aids.
+    """
+    methods = _PAPERS if named["method"] == _PAPERS[-1] else (named["method"],)
+    rows = [(board, row) for board in ranked if board.protocol == protocol for row in board.rows]
+    has_all = [(board, row) for board, row in rows if set(splits) <= set(row.by_split)]
+    every = [[pair for pair in has_all if _is_named({**named, "method": method}, pair[1])] for method in methods]
+    return [pairs[0] for pairs in every if pairs]
+
+
+def _called(board: Board, row: BoardRow) -> str:
+    """The method of one of our rows, what is different of it, and its budget."""
+    words = "with our aids" if row.job.method == _PAPERS[-1] else row.whose.removeprefix("ours")
+    return ", ".join(filter(None, [row.job.method, words, board.lane]))
 
 
 def _distributions(ranked: Sequence[Board]) -> tuple[list[str], dict[str, Callable[[Path], None]]]:
-    """The 90 % level of SSIM and PSNR and a figure of their distributions, for each budget on which the paper's are.
+    """The 90 % level of SSIM and PSNR and a figure of their distributions; none where our rows share no split.
 
-    Our rows of methods whose distribution the paper shows are on the splits that all were run on, beside them the best
-    predictor that learns nothing.
+    Our rows of methods whose distribution the paper shows are on its three carriers, or on those of them that all were
+    run on, beside them the best baseline there.
     """
-    parts: list[str] = []
-    drawn: dict[str, Callable[[Path], None]] = {}
-    theirs = published()["table"]["cdf"]["rows"]
-    for board in ranked:
-        rows = _published_rows(board)
-        splits = [split for split in board.splits if rows and all(split in row.by_split for row in rows.values())]
-        if not splits:
-            continue
-        rows |= {row.label: row for row in [row for row in board.rows_on(splits) if row.is_trivial][:1]}
-        panels: dict[str, dict[str, list[float]]] = {}
-        for metric in _DECIMALS:
-            of_metric = panels.setdefault(metric_title(metric), {})
-            for row in rows.values():
-                records = [record for split in splits for record in row.by_split[split]]
-                of_metric[row.short_label] = pooled_quantiles(records, metric)
-        cells = []
-        for name, row in rows.items():
-            levels = [quantiles[row.short_label][_LEVEL] for quantiles in panels.values()]
-            ours = [number(level, decimals) for level, decimals in zip(levels, _DECIMALS.values(), strict=True)]
-            cells.append([row.short_label, *([name, *theirs[name]] if name in theirs else [ABSENT, ABSENT]), *ours])
-        title, link = heading(board.lane_title or "no budget"), f"figures/paper-{board.slug}-cdf.svg"
-        parts += [
-            f"{title}:",
-            table(("method", "theirs", "published SSIM", *panels), cells, prose),
-            f"![Distributions of SSIM and PSNR, {title}]({link})",
-        ]
-        drawn[link] = partial(_draw_cdf, panels)
-    caption = (
-        "Of all splits and seeds together; the paper does not say of which carriers its level is. 90 % of the maps "
-        "have a score at or below the level, where the figure has a dashed line."
-    )
-    return ["## Distributions of SSIM and PSNR", caption, *parts] if parts else [], drawn
+    theirs = published()["table"]["cdf"]
+    found = {
+        (name, row.label): (board, row)
+        for name, named in theirs["ours"].items()
+        for board, row in _ours(named, theirs["protocol"], (), ranked)
+    }
+    splits = [
+        split for split in theirs["splits"][0] if found and all(split in row.by_split for _, row in found.values())
+    ]
+    if not splits:
+        return [], {}
+    board = next(board for board in ranked if board.protocol == theirs["protocol"])
+    found |= {
+        (ABSENT, row.label): (board, row) for row in [each for each in board.rows_on(splits) if each.is_trivial][:1]
+    }
+    panels: dict[str, dict[str, list[float]]] = {"SSIM": {}, metric_title("psnr"): {}}
+    cells = []
+    for (name, _), (of_row, row) in found.items():
+        records = [record for split in splits for record in row.by_split[split]]
+        called = _called(of_row, row) if row.family == "learned" else row.label
+        for metric, panel in zip(("ssim", "psnr"), panels.values(), strict=True):
+            panel[called] = pooled_quantiles(records, metric)
+        levels = [panel[called][_LEVEL] for panel in panels.values()]
+        ours = [number(level, decimals) for level, decimals in zip(levels, (4, 2), strict=True)]
+        cells.append([called, name, *theirs["rows"].get(name, [ABSENT]), *ours])
+    link = f"figures/paper-{board.slug}-cdf.svg"
+    parts = [
+        "## Distributions of SSIM and PSNR",
+        f"At {', '.join(map(short_name, splits))}, all seeds together; the paper does not say of which carriers its "
+        "level is. 90 % of the maps have a score at or below the level, where the figure has a dashed line.",
+        table(("ours", "theirs", "published SSIM", *panels), cells, prose),
+        f"![Distributions of SSIM and PSNR]({link})",
+    ]
+    return parts, {link: partial(_draw_cdf, panels)}
 
 
 def _draw_cdf(panels: Mapping[str, Mapping[str, Sequence[float]]], path: Path) -> None:
@@ -112,44 +153,18 @@ def _draw_cdf(panels: Mapping[str, Mapping[str, Sequence[float]]], path: Path) -
     plot_score_cdf(panels, _LEVEL / 100, path)
 
 
-def _published_rows(board: Board) -> dict[str, BoardRow]:
-    """Our rows, with default options, of the methods whose distribution the paper shows, by its names; best first."""
-    content = published()
-    if board.protocol != content["table"]["cdf"]["protocol"]:
-        return {}
-    found: dict[str, BoardRow] = {}
-    for row in board.rows:
-        for counterpart in content["counterpart"] if row.family == "learned" else ():
-            if counterpart["name"] in content["table"]["cdf"]["rows"] and _is_named(counterpart, row):
-                found.setdefault(counterpart["name"], row)
-    return found
-
-
-def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
-    """Whether a row has the named protocol, method and options; if no options are named, it has the defaults."""
-    if row.is_external or (row.job.protocol, row.job.method) != (named["protocol"], named["method"]):
-        return False
-    config = row.records[0].config
-    has_options = all(config.get(name) == value for name, value in named.get("config", {}).items())
-    return has_options and ("config" in named or row.family == "learned")
-
-
 def _claims_table(ranked: Sequence[Board]) -> str:
-    """A row for each claim: ours with its aids at two budgets, and the method as the paper has it.
-
-    A cell has the difference of average median SSIM × 1000 with its interval, and the verdict. Empty where nothing of
-    it was measured.
-    """
+    """A row for each claim, of the method as the paper has it and with our aids; empty where nothing was measured."""
     columns = {
-        "ours, 64,000 maps": ("quick", "xfreq-gs"),
-        "ours, 200,000 maps": ("converged", "xfreq-gs"),
-        "as the paper has it, 200,000 maps": ("converged", "xfreq-gs-paper"),
+        "xfreq-gs-paper, 200,000 maps": ("converged", "xfreq-gs-paper"),
+        "xfreq-gs with our aids, 64,000 maps": ("quick", "xfreq-gs"),
     }
     rows = []
     for claim in published()["claim"]:
         cells = [_claim_cell(claim, ranked, budget_text(BUDGETS[lane]), method) for lane, method in columns.values()]
-        is_doubted = any(words in cell for cell in cells for words in ("open", "does not hold"))
-        rows.append([f"{claim['claim']} ({claim['theirs']})", *cells, claim.get("why", "") if is_doubted else ""])
+        is_doubted = any(words in cell for cell in cells for words in (": open", "does not hold"))
+        why = claim.get("open", claim.get("why", "")) if is_doubted else ""
+        rows.append([f"{claim['claim']} ({claim['theirs']})", *cells, why])
     if all(cell == ABSENT for row in rows for cell in row[1:-1]):
         return ""
     return table(("claim (published)", *columns, "why not"), rows, prose)
@@ -157,72 +172,64 @@ def _claims_table(ranked: Sequence[Board]) -> str:
 
 def _claim_cell(claim: Mapping[str, Any], ranked: Sequence[Board], lane: str, method: str) -> str:
     """The difference and the verdict on the first board of a budget that has both methods; a dash without any."""
-    named = [
-        claim[end] | ({"method": method} if claim[end]["method"] == "xfreq-gs" else {}) for end in ("better", "worse")
-    ]
+    ends = [claim[end] for end in ("better", "worse") if end in claim]
+    ends = [end | ({"method": method} if end["method"] == _PAPERS[-1] else {}) for end in ends]
+    along, carriers = claim.get("along", []), published()["table"]["cdf"]["splits"][0]
     for board in ranked:
-        better, worse = (next((row for row in board.rows if _is_named(name, row)), None) for name in named)
-        if (board.protocol, board.lane) != (claim["protocol"], lane) or better is None or worse is None:
+        rows = [next((row for row in board.rows if _is_named(named, row)), None) for named in ends]
+        known = [row for row in rows if row is not None]
+        splits = [split for split in along or carriers if all(split in row.by_split for row in known)]
+        is_whole = len(known) == len(ends) and (len(splits) == len(along) if along else bool(splits))
+        if (board.protocol, board.lane) != (claim.get("protocol", "lofo"), lane) or not is_whole:
             continue
-        comparison = Comparison.of(board, better, worse)
-        if splits := comparison.splits:
-            difference = better.average(splits) - worse.average(splits)
-            low, high = comparison.difference(better, worse)
-            bounds = "" if isnan(low) else f" [{1000 * low:+.1f}, {1000 * high:+.1f}]"
-            verdict = "holds" if low > 0 else "does not hold" if high < 0 else "open"
-            where = f" at {short_name(splits[0])}" if len(splits) == 1 else ""
-            return f"{1000 * difference:+.1f}{bounds}{where}: {'too few seeds' if isnan(low) else verdict}"
+        signed = list(zip(known, (1, -1), strict=False))
+        weights = {splits[-1]: 1.0, splits[0]: -1.0} if along else dict.fromkeys(splits, 1 / len(splits))
+        terms = [(row, split, sign * weight) for row, sign in signed for split, weight in weights.items()]
+        difference, (low, high) = contrast(board, terms)
+        steps = [1000 * sum(sign * row.average([split]) for row, sign in signed) for split in along]
+        levels = f"{', '.join(f'{step:.1f}' for step in steps)}: " if along else ""
+        is_known = all(Comparison(board, tuple(splits)).has_enough_seeds(row) for row in known) and not isnan(low)
+        verdict = "holds" if low > 0 else "does not hold" if high < 0 else "open"
+        verdict = "open" if "open" in claim else verdict if is_known else "too few seeds"
+        where = f" at {short_name(splits[0])}" if len(splits) == 1 else ""
+        bounds = f" [{1000 * low:+.1f}, {1000 * high:+.1f}]" if is_known else ""
+        return f"{levels}{1000 * difference:+.1f}{bounds}{where}: {verdict}"
     return ABSENT
 
 
-def _papers_tables(content: Mapping[str, Any], ranked: Sequence[Board]) -> list[str]:
-    """The paper's tables, with its rows and columns, of which we have a number."""
-    statistics = {  # as the published tables name them: metric, statistic, decimals
+def _papers_tables(ranked: Sequence[Board]) -> list[str]:
+    """The paper's tables, below each of its rows ours; without the rows and the tables of which we have none."""
+    statistics: dict[str, tuple[str, str, int]] = {  # as the published tables name them: metric, statistic, decimals
         "SSIM mean": ("ssim", "mean", 4),
-        "SSIM median": ("ssim", "median", 4),
         "PSNR mean (dB)": ("psnr", "mean", 2),
         "PSNR median (dB)": ("psnr", "median", 2),
     }
-    ours = {
-        (name, row, statistic): (counterpart, place, statistics.get(statistic, statistics["SSIM median"]))
-        for counterpart in content["counterpart"]
-        for place, (name, row, column) in counterpart["cells"].items()
-        for statistic in (statistics if column in statistics else (column,))
-    }
-    boards = {board.protocol: board for board in ranked}
     parts = []
-    for name, theirs in content["table"].items():
-        if name == "cdf" or theirs["protocol"] not in boards:
-            continue
-        board = boards[theirs["protocol"]]
-        rows = []
-        for row, values in theirs["rows"].items():
-            cells = [
-                (ours.get((name, row, column)), value) for column, value in zip(theirs["columns"], values, strict=True)
-            ]
-            rows.append(
-                [heading(row), *(f"{_ours(*cell, board) if cell else ABSENT} ({value})" for cell, value in cells)]
-            )
-        if any(not cell.startswith(ABSENT) for cells in rows for cell in cells[1:]):
-            header, title = (theirs["first_column"], *theirs["columns"]), heading(board.lane_title or "no budget")
-            parts.append(f"{theirs['title']}; ours in the budget {title}:\n\n{table(header, rows, prose)}")
+    for name, theirs in published()["table"].items():
+        rows: list[list[str]] = []
+        for of_paper, values in theirs["rows"].items() if name != "cdf" else ():
+            named = theirs["ours"][of_paper]
+            of_columns = theirs.get("splits") or [named["splits"]] * len(values)
+            found = _ours(named, theirs["protocol"], of_columns[-1], ranked)
+            rows += [[heading(of_paper), "published", *values]] if found else []
+            for board, row in found:
+                cells = []
+                for column, splits in zip(theirs["columns"], of_columns, strict=True):
+                    of_column = statistics.get(column, ("ssim", "median", 4))
+                    cells.append(_statistic(Comparison(board, tuple(splits)), row, *of_column))
+                rows.append(["", _called(board, row), *cells])
+        if rows:
+            header = (theirs["first_column"], "by", *theirs["columns"])
+            parts.append(f"{theirs['title']}:\n\n{table(header, rows, prose)}")
     return parts
 
 
-def _ours(counterpart: Mapping[str, Any], place: str, statistic: tuple[str, str, int], board: Board) -> str:
-    """Our number beside a published one, the mean over splits; a median SSIM has its interval. A dash without any.
-
-    The splits are those that the paper names, or all of the row where it names none.
-    """
-    metric, name, decimals = statistic
-    for row in board.rows:
-        splits = tuple(row.by_split) if place == "any" else tuple(place.split())
-        if _is_named(counterpart, row) and set(splits) <= set(row.by_split):
-            value = row.average(splits, lambda record: float(getattr(record.scores[metric], name)))
-            if (metric, name) != ("ssim", "median"):
-                return number(value, decimals)
-            return with_interval(value, Comparison(board, splits).interval(row), decimals)
-    return ABSENT
+def _statistic(comparison: Comparison, row: BoardRow, metric: str, name: str, decimals: int) -> str:
+    """A statistic of a metric, the mean over splits and seeds; a median SSIM has its interval."""
+    value = row.average(comparison.splits, lambda record: float(getattr(record.scores[metric], name)))
+    if (metric, name) != ("ssim", "median"):
+        return number(value, decimals)
+    return with_interval(value, comparison.interval(row), decimals)
 
 
 def ship_maps(results: Results, path: Path) -> Path:
@@ -234,7 +241,7 @@ def ship_maps(results: Results, path: Path) -> Path:
     found = read_results(results)
     main, shown, known = main_scene(found.boards), [], set[str]()
     for board in found.boards:
-        papers = _published_rows(board).get("XFreq-GS")
+        papers = next((row for _, row in _ours({"method": _PAPERS[-1]}, "lofo", (), [board])), None)
         for maps in stored_maps(board, found.folders, papers) if board.scene == main else ():
             new = {key: run for key, run in maps.predicted.items() if key not in known}
             known |= new.keys()
@@ -256,18 +263,20 @@ def _maps(ranked: Sequence[Board], found: RankedResults) -> tuple[list[str], dic
     """
     parts: list[str] = []
     drawn: dict[str, Callable[[Path], None]] = {}
-    for board in ranked:
-        row = _published_rows(board).get("XFreq-GS")
-        stored = stored_maps(board, found.folders, row) if row else []
+    for board, row in _ours({"method": _PAPERS[-1]}, "lofo", (), ranked):
+        stored = stored_maps(board, found.folders, row)
         known = found.maps | {key: maps for maps in stored for key in maps.predicted}
-        ids = {split: row.by_split[split][0].id for split in board.splits if row and split in row.by_split}
+        ids = {split: row.by_split[split][0].id for split in board.splits if split in row.by_split}
         of_split = {split: known[key] for split, key in ids.items() if key in known}
-        if row is None or not of_split:
-            continue
         splits = _spread(list(of_split))
-        first, *others = (of_split[split] for split in splits)
-        positions = [tx for tx in first.tx_position_m if all(tx in maps.tx_position_m for maps in others)]
+        shared = [maps.tx_position_m for maps in of_split.values()]
+        positions = [tx for tx in (shared[0] if shared else ()) if all(tx in others for others in shared)]
         if not positions:
+            parts += [
+                f"Maps of `{row.job.method}` are not stored beside these records: `xfreqbench benchmark --preset "
+                f"{'paper-size' if row.job.method == _PAPERS[0] else 'paper-maps'}` predicts them, and "
+                "`docs/remake.py` with its folder ships and shows them."
+            ]
             continue
         shown_m, columns = _spread(positions), {}
         for split in splits:
@@ -276,15 +285,15 @@ def _maps(ranked: Sequence[Board], found: RankedResults) -> tuple[list[str], dic
             ssim = [maps.predicted[key].ssim[place] for place in places]
             columns[short_name(split)] = maps.levels()[places], maps.levels(key)[places], ssim
         caption = (
-            f"{row.short_label}, {board.lane_title or 'no budget'}: maps of {len(shown_m)} transmitters, spread from "
-            f"easy to hard ones, at {len(columns)} carriers that were left out in turn, the truth above the prediction."
-            " Azimuth to the right, elevation upwards, powers down to 30 dB below the peak."
+            f"{_called(board, row)}: maps of {len(shown_m)} transmitters, spread from easy to hard ones, at "
+            f"{len(columns)} carriers that were left out in turn, the truth above the prediction. Azimuth to the "
+            "right, elevation upwards, powers down to 30 dB below the peak."
         )
         link = f"figures/paper-{board.slug}-maps.png"
         names = [f"({', '.join(f'{coordinate:.1f}' for coordinate in position)}) m" for position in shown_m]
         parts += [prose(caption), f"![Maps beside the truth, {heading(row.short_label)}]({link})"]
         drawn[link] = partial(_draw_maps, columns, names)
-    return ["## Maps", *parts] if parts else [], drawn
+    return ["## Maps", *parts] if drawn else [], drawn
 
 
 def _draw_maps(columns: Mapping[str, Any], names: Sequence[str], path: Path) -> None:

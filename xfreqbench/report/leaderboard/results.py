@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
@@ -88,18 +88,12 @@ def read_results(results: Results) -> RankedResults:
     by_key = [{record_key(record): record for record in folder.records} for folder in folders]
     records = {key: record for found in by_key for key, record in found.items()}
     sources = {key: name for name, found in zip(names[::-1], by_key[::-1], strict=True) for key in found}
-    benches = _latest_benches(bench for folder in folders for bench in folder.stored.benches)
-    benches += room_tables(records.values())
+    taken = sorted((bench for folder in folders for bench in folder.stored.benches), key=lambda bench: bench.time_utc)
+    latest = {(bench.bench, bench.title): bench for bench in taken}.values()  # of one that was taken twice, the later
+    benches = sorted(latest, key=lambda bench: (bench.time_utc, bench.title)) + room_tables(records.values())
     num_truncated = sum(folder.stored.num_truncated for folder in folders)
     every = tuple(record for record in records.values() if not is_of_rooms(record))  # each once
     return RankedResults(folders, every, boards(every, sources if len(folders) > 1 else None), benches, num_truncated)
-
-
-def _latest_benches(benches: Iterable[BenchRecord]) -> list[BenchRecord]:
-    """Measurements in the order in which they were taken; of one that was taken twice, only the later."""
-    ordered = sorted(benches, key=lambda record: record.time_utc)
-    latest = {(record.bench, record.title): record for record in ordered}
-    return sorted(latest.values(), key=lambda record: (record.time_utc, record.title))
 
 
 def _require_records(results: ResultsFolder | Path) -> None:

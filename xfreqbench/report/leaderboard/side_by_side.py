@@ -74,7 +74,7 @@ def got_worse(before: Sequence[RunRecord], after: Sequence[RunRecord]) -> list[l
                 continue
             pair = _pair(old[place], known[row.label], row)
             a, b = pair.board.rows
-            if pair.splits and b.average(pair.splits) < a.average(pair.splits) and pair.paired_difference(b, a)[1] < 0:
+            if pair.splits and b.average(pair.splits) < a.average(pair.splits) and pair.difference(b, a)[1] < 0:
                 cells = _ssim_cells(pair)[3:6]
                 cells = [", ".join(place[:2]), row.label, *cells, _what_is_different(pair)]
                 found.append((float(cells[4].split()[0]), cells))
@@ -200,7 +200,7 @@ def _share_records(row: BoardRow, other: BoardRow) -> bool:
 def _ssim_cells(pair: Comparison) -> list[str]:
     a, b = pair.board.rows
     before, after = a.average(pair.splits), b.average(pair.splits)
-    low, high = pair.paired_difference(b, a)
+    low, high = pair.difference(b, a)
     interval = "" if isnan(low) else f" [{low:+.4f}, {high:+.4f}]"
     verdict = ABSENT if isnan(low) else "better" if low > 0 else "worse" if high < 0 else "="
     seeds = " and ".join(str(row.num_seeds(pair.splits)[0]) for row in (a, b))
@@ -228,7 +228,7 @@ def _notes(a: Board, b: Board, pairs: Sequence[Comparison]) -> list[str]:
     few = [
         _label(pair)
         for pair in pairs
-        if not isnan(pair.paired_difference(*pair.board.rows[::-1])[0])
+        if not isnan(pair.difference(*pair.board.rows[::-1])[0])
         and not all(map(pair.has_enough_seeds, pair.board.rows))
     ]
     said = [

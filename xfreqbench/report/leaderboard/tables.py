@@ -101,7 +101,8 @@ def ranking_table(comparison: Comparison, names: Sequence[str] = (), has_others:
     """
     num_splits = len(comparison.splits)
     where = f" on {num_splits} splits, best average first" if num_splits > 1 else ", best first"
-    names = names or (*BRIEF[:5], "seed spread", "skill", "aoa_error", "seeds", *COSTS)
+    others = "seed spread", "skill", "beam_loss", "aoa_error", "seeds"
+    names = names or (*BRIEF[:2], "whose", *BRIEF[2:5], *others, *COSTS)
     parts = [
         f"Median SSIM{where}; order within overlapping ranks means nothing:",
         _table(comparison, names),

@@ -49,6 +49,7 @@ def view_page(
     ]
     of_splits = ("split", "trained on", "tested on", "left out, no path", "same transmitters", "nearest trained (m)")
     others = [] if room.in_sight is None else np.flatnonzero(room.in_sight != room.in_sight[room.tx]).tolist()
+    groups = {name: _hex(group_colour(name)) for name, points in room.groups().items() if len(points)}
     return render(
         "view/page.html",
         title=f"{view.dataset.path.name}: {view.header.scene_name}" if view.dataset else view.header.scene_name,
@@ -60,7 +61,7 @@ def view_page(
         summary=summary,
         pictures=pictures,
         orbit=packed(orbit_scene(room)),
-        colours=_colours(room),
+        colours=groups | {name.replace("_", " "): material_hex(name) for name in by_material(room.meshes)},
         next_tx=(room.tx + 1) % num_tx,
         other_tx=others[0] if others else None,
         model=model,
@@ -114,12 +115,6 @@ def _labels(room: ShownRoom) -> Iterator[dict[str, Any]]:
         yield one_label(str(place), point_along(ray.points_m, place / (len(numbered) + 1)))
     yield one_label("receiver", room.receiver_m)
     yield one_label(f"transmitter {room.tx}", room.tx_m)
-
-
-def _colours(room: ShownRoom) -> dict[str, str]:
-    """The colours of transmitters and materials by name."""
-    groups = {name: _hex(group_colour(name)) for name, points in room.groups().items() if len(points)}
-    return groups | {name.replace("_", " "): material_hex(name) for name in by_material(room.meshes)}
 
 
 def _hex(colour: Rgba) -> str:

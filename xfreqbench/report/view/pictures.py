@@ -164,9 +164,9 @@ def plot_statistics(statistics: ChannelStatistics, name: str, output: Path) -> N
     }
     drawn = (
         ("path_loss_above_38901", "path loss over 3GPP TR 38.901 (dB)", "db", ()),
-        ("k_factor", "K (dB)", "db", ("38901", "mmmagic")),
+        ("k_factor_cluster", "K of a cluster (dB)", "db", ("38901", "mmmagic")),
         ("delay_spread", "delay spread (ns)", "ns", tuple(standards)),
-        ("arrival_azimuth_spread", "azimuth spread at the array (°)", "deg", ("38901",)),
+        ("arrival_azimuth_spread", "azimuth spread at the array (°)", "deg", ("38901", "mmmagic")),
         ("departure_azimuth_spread", "azimuth spread at transmitters (°)", "deg", ("38901", "mmmagic")),
     )
     first_sight = any(row["in_sight"] for row in statistics.rows)
