@@ -103,7 +103,7 @@ def furniture() -> dict[str, tuple[str, list[trimesh.Trimesh]]]:
     legs = [rod([dx, dy, 0.013], [dx, dy, 0.72], 0.02, 32) for dx in (2.65, 3.75) for dy in (2.95, 3.5)]
     lamella = [slab([2.3, 0.05, 1.0 + 0.11 * k], [3.6, 0.11, 1.003 + 0.11 * k]) for k in range(12)]
     return {
-        "planks": ("wood", tiled([0.02, 0.02, 0.0005], [x - 0.02, y - 0.02, 0.012], (30, 4, 1), 0.001)),
+        "planks": ("wood", tiled([0.02, 0.02, 0.0005], [x - 0.02, y - 0.02, 0.012], (30, 4, 1), 0.002)),
         "tiles": ("plasterboard", tiled([0.02, 0.02, z - 0.05], [x - 0.02, y - 0.02, z - 0.035], (9, 8, 1), 0.004)),
         "panels": (
             "wood",

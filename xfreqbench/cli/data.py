@@ -93,6 +93,7 @@ def generate(
     from xfreqbench.data import rooms as of_rooms
     from xfreqbench.data.fingerprint import compare_fingerprint
     from xfreqbench.data.plan import plan_generation
+    from xfreqbench.system.bars import progress_bars
     from xfreqbench.system.processes import require_executor
 
     require_executor(options.executor)
@@ -115,7 +116,8 @@ def generate(
         )
     elif dry_run:
         plan = plan_generation(scene, GenerateOptions(**asked))
-        seconds = of_scenes.estimate_seconds(plan)
+        with progress_bars("transmitters", ["estimating"], quiet):
+            seconds = of_scenes.estimate_seconds(plan)
         print(f"{plan.summary}\nestimated time {seconds:.0f} s on this machine; nothing was written")
     else:
         del asked["rooms"]

@@ -13,6 +13,7 @@ from .arrays import F64, FAR, I64, MAX_BOXES, Bools
 from .compiled import entry, part, whole
 
 BESIDE_M = 1e-3  # how far beside an edge a facet must reach to count as one of its faces; shorter edges are none
+GROOVE_M = 0.01
 SEAM = 1e-6  # of a facet's sides, by which it is wider, so that none of two that meet in a seam leaves a gap
 MIN_TURN_RAD = 1e-3  # by which the angle that is left free exceeds a half turn
 
@@ -119,11 +120,33 @@ def _facets_at(flat: Flat, x: F64, stack: I64) -> I64:
     return found[np.argsort(flat.number[found])]
 
 
+@part
+def _holds(flat: Flat, q: int, x: F64) -> bool:
+    """Whether a point in the plane of facet q lies in it, or beside it by a seam."""
+    u = v = 0.0
+    for c in range(3):
+        u += flat.dual[q, 0, c] * (x[c] - flat.corner[q, c])
+        v += flat.dual[q, 1, c] * (x[c] - flat.corner[q, c])
+    return min(u, v) > -SEAM and (u + v if flat.is_triangle[q] else max(u, v)) < 1.0 + SEAM
+
+
+@whole
+def _goes_on(flat: Flat, face: int, x: F64, stack: I64) -> bool:
+    """Whether another facet holds a point of the plane of a face."""
+    normal, is_held = flat.normal[face], False
+    for q in _facets_at(flat, x, stack):
+        gap = abs(np.sum((x - flat.corner[q]) * flat.normal[q]))
+        is_parallel = abs(np.sum(normal * flat.normal[q])) > 1.0 - 0.5 * PLANE_TOLERANCE**2
+        is_held |= gap < PLANE_TOLERANCE and is_parallel and _holds(flat, q, x)
+    return is_held
+
+
 @entry
 def wedge_around(flat: Flat, start: F64, along: F64, length: float) -> tuple[float, F64, I64]:
     """The angle that the facets around a piece of a line leave free, the ways (2, 3) along faces 0 and n, and these.
 
-    The angle is 0 where they leave no more than half of the space.
+    The angle is 0 where they leave no more than half of the space, and where the plane of a face goes on behind a gap of
+    less than `GROOVE_M`, as between planks: no wave turns into a groove.
     """
     middle, stack = start + length / 2 * along, np.empty(MAX_BOXES, np.int64)
     towards, faces = [], []
@@ -139,10 +162,7 @@ def wedge_around(flat: Flat, start: F64, along: F64, length: float) -> tuple[flo
                 continue
             way = side * np.cross(normal, along)
             way /= math.sqrt(np.sum(way**2))
-            u = np.sum(flat.dual[q, 0] * (middle + BESIDE_M * way - flat.corner[q]))
-            v = np.sum(flat.dual[q, 1] * (middle + BESIDE_M * way - flat.corner[q]))
-            most = u + v if flat.is_triangle[q] else max(u, v)
-            if min(u, v) > -SEAM and most < 1.0 + SEAM:
+            if _holds(flat, q, middle + BESIDE_M * way):
                 towards.append(way)
                 faces.append(q)
     ways, face = np.zeros((2, 3)), np.zeros(2, np.int64)
@@ -164,4 +184,6 @@ def wedge_around(flat: Flat, start: F64, along: F64, length: float) -> tuple[flo
     for i in range(2):
         which = order[(widest + i) % len(order)]
         ways[i], face[i] = towards[which], faces[which]
+        if _goes_on(flat, face[i], middle - GROOVE_M * ways[i], stack):
+            free = 0.0
     return free, ways, face
