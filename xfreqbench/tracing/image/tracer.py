@@ -3,12 +3,12 @@
 Rays that branch at every facet are shot from the receiver once, and find the sequences of mirror planes that can
 matter. Of these, each transmitter uses the ones whose path reaches the array. Whether it does is decided at the four
 corners of the array for all elements between them; where the corners disagree, or a stretch of a path is as short as
-some micrometres, each element is traced by itself. What a segment meets is looked up in a tree of boxes, so a room of
+some nanometres, each element is traced by itself. What a segment meets is looked up in a tree of boxes, so a room of
 boxes and one furnished with meshes, of whose triangles only large patches mirror, are solved alike.
 
 Specular reflection and refraction are modelled, and on request first-order diffraction at the edges of mirrors. Depth
 counts them together, and slabs (ITU-R P.2040) and antenna conventions are those of Sionna RT, which drops paths with a
-stretch under 1 cm; here two surfaces may be as near to each other as a micrometre.
+stretch under 1 cm; here two surfaces may be as near to each other as a nanometre.
 """
 
 from __future__ import annotations

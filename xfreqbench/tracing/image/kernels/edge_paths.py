@@ -260,7 +260,7 @@ def _gains(context: EdgeContext, path: _EdgePath, f: int, shift: float, work: Wo
                 gains[m] += aperture.weight[node, m] * at_node
 
 
-@bare
+@part
 def _bounds(wedges: Wedges, e: int, near: Polar, far: Polar, wavelength_m: F64, out: F64) -> None:
     """Write bounds (F,) of a diffracted path's amplitude over its wavelength, in 1/m, reflections left out.
 
@@ -280,7 +280,7 @@ def _bounds(wedges: Wedges, e: int, near: Polar, far: Polar, wavelength_m: F64, 
             out[f] += share * min(1.0, far_off * math.sqrt(wavelength_m[f]))
 
 
-@bare
+@part
 def _change(wedges: Wedges, e: int, near: Polar, far: Polar) -> float:
     """By how much, relative to its size, the field changes where the far end moves by a metre; roughly."""
     first, last, n = terms_of(wedges, e, near[2], far[2])
@@ -364,7 +364,7 @@ def _add_to_some(
 
 @bare
 def _add_element(context: EdgeContext, path: _EdgePath, f: int, m: int, fade: float, work: Work, sums: Sums) -> bool:
-    """Add a share of a path at element m to `sums` (M,) of carrier f; its gain is in `work`. False if it has vanished."""
+    """Add a share of a path at element m to `sums` (M,) of carrier f; its gain is in `work`. False if it vanished."""
     element_m, wavelength_m = context.scene.aperture.element_m, context.scene.aperture.wavelength_m[f]
     _end_at(path.far, element_m[f, 0, m], element_m[f, 1, m], element_m[f, 2, m], work.end[1])
     length_m = _length_over(context.wedges, path.edge, path.near_polar, work.end[1])
@@ -375,7 +375,7 @@ def _add_element(context: EdgeContext, path: _EdgePath, f: int, m: int, fade: fl
     return factor != 0
 
 
-@bare
+@part
 def _meet(wedges: Wedges, e: int, near: Sides, a: int, far: Sides, b: int, radius_m: float) -> bool:
     """Whether the path over two sides meets edge e in the parts that they see, for ends within a radius."""
     near_m, far_m, phi = near.polar[a, 0], far.polar[b, 0], far.polar[b, 2]

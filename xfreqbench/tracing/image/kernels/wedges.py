@@ -162,7 +162,7 @@ def _coefficients(media: Media, kind: int, f: int, cosine: float) -> Four:
     return stacked(cosine, media.permittivity[f, a:b], media.phase_thickness[f, a:b])
 
 
-@bare
+@part
 def _over_faces(
     wedges: Wedges, media: Media, e: int, f: int, term: int, phis: tuple[float, float], slope: float, field: Pair
 ) -> Pair:
