@@ -145,7 +145,7 @@ def _goes_on(flat: Flat, face: int, x: F64, stack: I64) -> bool:
 def wedge_around(flat: Flat, start: F64, along: F64, length: float) -> tuple[float, F64, I64]:
     """The angle that the facets around a piece of a line leave free, the ways (2, 3) along faces 0 and n, and these.
 
-    The angle is 0 where they leave no more than half of the space, and where the plane of a face goes on behind a gap of
+    It is 0 where they leave no more than half of the space, and where the plane of a face goes on behind a gap of
     less than `GROOVE_M`, as between planks: no wave turns into a groove.
     """
     middle, stack = start + length / 2 * along, np.empty(MAX_BOXES, np.int64)
