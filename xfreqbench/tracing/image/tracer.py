@@ -69,7 +69,7 @@ class ImageSavings:
     field_nodes_per_axis: int = 2
     max_reflections: int | None = None
     diffraction_planes: int = 1
-    diffraction_floor: float = 1e-4
+    diffraction_floor: float = 0.003
     diffuse_mirrors: int = 1
     diffuse_tile_m: float = 0.25
     diffuse_tile_rad: float = 0.15
