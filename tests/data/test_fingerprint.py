@@ -83,7 +83,7 @@ def test_a_traced_file_has_the_recipe_of_the_fingerprint(usual: PasDataset) -> N
     assert (match.num_tx, match.num_carriers) == (len(TRANSMITTERS_M), len(CARRIERS_GHZ))
     assert match.difference is not None
     assert match.difference < TOLERANCE
-    assert re.search(r"^fingerprint of two_rooms@2-\w+: matches the reference, ", match.verdict)
+    assert re.search(r"^fingerprint of two_rooms@3-\w+: matches the reference, ", match.verdict)
     assert replace(match, difference=1e-3).difference_db == pytest.approx(-60)
     assert replace(match, difference=0.0).difference_db == -np.inf
 
@@ -97,7 +97,7 @@ def test_without_a_compiler_or_with_one_thread_only_digits_change(tmp_path: Path
     command, alone = [sys.executable, "-m", "xfreqbench.cli", *words.split()], {"NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run(command, cwd=tmp_path, env=os.environ | alone, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert "fingerprint of two_rooms@2-" in done.stdout
+    assert "fingerprint of two_rooms@3-" in done.stdout
     usual = rooms(tmp_path / "usual.h5", rays=2000, max_depth=3, interactions=WITHOUT_DIFFRACTION)
     other = open_dataset(tmp_path / "rooms.h5")
     assert other.recipe == usual.recipe
@@ -137,7 +137,7 @@ def test_a_wall_that_is_moved_by_a_millimetre_is_found_out(usual: PasDataset, tm
 
     forged = rewritten(usual, tmp_path / "forged.h5", cfr=other.tables["cfr"])
     assert forged.recipe == usual.recipe
-    with pytest.raises(DataError, match=r"says that it is two_rooms@2-.* a median relative field error of 2\.\de-01"):
+    with pytest.raises(DataError, match=r"says that it is two_rooms@3-.* a median relative field error of 2\.\de-01"):
         require_fingerprint(forged)
     told = xfreqbench("info", forged.path)
     assert told.code == 0

@@ -135,11 +135,11 @@ def test_another_grid_of_maps_is_another_recipe(usual: Recipe) -> None:
 
 def test_the_next_physics_is_another_recipe_and_its_version_is_told(usual: Recipe) -> None:
     plan = planned()
-    later = recipe_of(replace(plan, header=replace(plan.header, physics="3")))
+    later = recipe_of(replace(plan, header=replace(plan.header, physics="4")))
     assert later.sha256 != usual.sha256
-    assert re.fullmatch("two_rooms@2-[0-9a-f]{8}", usual.name)
-    assert re.fullmatch("two_rooms@3-[0-9a-f]{8}", str(later))
-    assert plan.header.attributes()["physics"] == "2"
+    assert re.fullmatch("two_rooms@3-[0-9a-f]{8}", usual.name)
+    assert re.fullmatch("two_rooms@4-[0-9a-f]{8}", str(later))
+    assert plan.header.attributes()["physics"] == "3"
     assert "physics" not in replace(plan.header, physics="1").attributes()  # files of version 1 do not tell it
 
 

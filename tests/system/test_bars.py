@@ -38,7 +38,7 @@ def test_a_bar_shows_how_much_is_done_unless_nothing_is_to_be_shown(
 def test_work_inside_a_stage_is_shown_in_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[tuple[int, int, int, str | None]] = []
     monkeypatch.setattr(
-        module.Bars,
+        module._Bars,
         "show",
         lambda self, stage, done, total, state, title=None: shown.append((stage, done, total, title)),
     )

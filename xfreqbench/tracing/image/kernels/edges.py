@@ -14,7 +14,7 @@ from .compiled import entry, part, whole
 
 BESIDE_M = 1e-3  # how far beside an edge a facet must reach to count as one of its faces; shorter edges are none
 GROOVE_M = 0.01
-SEAM = 1e-6  # of a facet's sides, by which it is wider, so that none of two that meet in a seam leaves a gap
+SEAM_M = 1e-6  # by which a facet is wider, so that two that meet in a seam leave no gap
 MIN_TURN_RAD = 1e-3  # by which the angle that is left free exceeds a half turn
 
 
@@ -123,11 +123,15 @@ def _facets_at(flat: Flat, x: F64, stack: I64) -> I64:
 @part
 def _holds(flat: Flat, q: int, x: F64) -> bool:
     """Whether a point in the plane of facet q lies in it, or beside it by a seam."""
-    u = v = 0.0
+    u = v = slack_u = slack_v = 0.0
     for c in range(3):
         u += flat.dual[q, 0, c] * (x[c] - flat.corner[q, c])
         v += flat.dual[q, 1, c] * (x[c] - flat.corner[q, c])
-    return min(u, v) > -SEAM and (u + v if flat.is_triangle[q] else max(u, v)) < 1.0 + SEAM
+        slack_u += SEAM_M * abs(flat.dual[q, 0, c])
+        slack_v += SEAM_M * abs(flat.dual[q, 1, c])
+    if u < -slack_u or v < -slack_v:
+        return False
+    return u + v < 1.0 + slack_u + slack_v if flat.is_triangle[q] else u < 1.0 + slack_u and v < 1.0 + slack_v
 
 
 @whole
