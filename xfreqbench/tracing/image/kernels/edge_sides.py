@@ -23,7 +23,7 @@ Span = tuple[float, float]
 
 MAX_SIDE_PLANES = 3  # on either side of the edge
 NOTHING = (1.0, 0.0)
-STEP_M = 0.02  # at which is looked along an edge for what hides it
+STEP_M, MAX_STEPS = 0.02, 2000  # in which is looked along an edge for what hides it
 ROUNDING = 1e-9  # of a facet or an edge, by which what is seen is widened: the exact test comes later
 
 
@@ -339,7 +339,8 @@ sides_of = within(find_sides)
 def open_spans(facets: Facets, wedges: Wedges, sides: Sides, offset: F64, max_depth: int, first: int, last: int) -> F64:
     """The parts (n, 2) of their edges that sides `first` to `last` see past all facets, reversed where there is none.
 
-    Points `STEP_M` apart are looked at from each offset (O, 3) of the end; what is open reaches a step farther.
+    Points `STEP_M` apart, or `MAX_STEPS` of a long edge, are looked at from each offset (O, 3) of the end; what is open
+    reaches a step farther.
     """
     walk, spans = new_walk(MAX_SIDE_PLANES, 1, 1, np.zeros(3)), np.empty((last - first, 2))
     for s in range(first, last):
@@ -349,15 +350,16 @@ def open_spans(facets: Facets, wedges: Wedges, sides: Sides, offset: F64, max_de
         for c in range(3):
             walk.edge[0, c] = wedges.start[e, c]
             walk.edge[1, c] = wedges.start[e, c] + wedges.length[e] * wedges.along[e, c]
-        number = 1 + math.ceil((sides.span[s, 1] - sides.span[s, 0]) / STEP_M)
+        width = sides.span[s, 1] - sides.span[s, 0]
+        number = min(1 + math.ceil(width / STEP_M), MAX_STEPS)
         for i in range(number + 1):
-            z = sides.span[s, 0] + (sides.span[s, 1] - sides.span[s, 0]) * i / number
+            z = sides.span[s, 0] + width * i / number
             for c in range(3):
                 walk.start[0, c] = wedges.start[e, c] + z * wedges.along[e, c]
             for o in range(len(offset)):
                 if follow(facets, path, offset[o : o + 1], False, LONE, walk) == EVERYWHERE:
                     low, high = min(low, z), max(high, z)
                     break
-        spans[s - first, 0] = max(sides.span[s, 0], low - STEP_M)
-        spans[s - first, 1] = min(sides.span[s, 1], high + STEP_M)
+        spans[s - first, 0] = max(sides.span[s, 0], low - width / number)
+        spans[s - first, 1] = min(sides.span[s, 1], high + width / number)
     return spans
