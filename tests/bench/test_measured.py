@@ -11,6 +11,7 @@ import pytest
 
 from tests.support.places import MEASURED_FLAT
 from tests.support.screened_room import SCENE as SCREENED
+from xfreqbench.bench import measured
 from xfreqbench.bench.measured import Measurement, _scores, bench_measured, read_measurement
 from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import DataError, PlacementError, SceneError
@@ -114,8 +115,34 @@ def test_a_number_that_stands_for_not_received_is_asked_about(tmp_path: Path, mi
 
 def test_equal_powers_correlate_with_nothing() -> None:
     power_db, in_sight = np.full((6, 1), -40.0), np.ones((6, 1), bool)
-    *_, r = _scores(np.arange(6.0)[:, None], power_db, in_sight, np.arange(6), 0)
-    assert r == "–"
+    error_db = np.arange(6.0)[:, None]
+    _, less, *_, r = _scores(error_db, error_db, power_db, in_sight, np.arange(6), 0)
+    assert (less, r) == ("+0.00 [+0.00, +0.00]", "–")
+
+
+def test_a_difference_of_models_that_fail_at_the_same_places_is_known_better_than_either() -> None:
+    shared = np.random.default_rng(0).normal(0, 5, (400, 1)).cumsum(axis=0) / 20
+    cell = np.arange(400) // 8
+    rmse, less, *_ = _scores(shared + 0.5, shared, -shared, np.ones((400, 1), bool), cell, 0)
+    low, high, least, most = (float(text.strip("[,]")) for cells in (rmse, less) for text in cells.split()[1:])
+    assert most - least < 0.8 * (high - low)
+
+
+def test_no_position_is_scored_in_a_cell_that_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    position_m = np.random.default_rng(2).uniform([0.4, 0.4, 0.9], [7.6, 5.6, 1.7], (300, 3))
+    scored: list[np.ndarray] = []
+
+    def noted(error_db, beside_db, power_db, in_sight, cell, seed):
+        scored.append(np.isfinite(error_db[:, 0]))
+        assert not {*cell[scored[-1]].tolist()} & {*cell[~scored[-1]].tolist()}
+        return _scores(error_db, beside_db, power_db, in_sight, cell, seed)
+
+    monkeypatch.setattr(measured, "_scores", noted)
+    power_db = np.random.default_rng(3).normal(-60, 5, (300, 1))
+    settings = TraceSettings("image", rays=2000, max_depth=1)
+    bench = Bench("measured", "x", lambda _: None)
+    bench_measured(bench, SCREENED, Measurement(position_m, power_db), [2.4e9], settings, 1, ignore_progress)
+    assert 30 <= np.count_nonzero(~scored[0]) < 40
 
 
 def test_positions_in_centimetres_are_refused_before_anything_is_traced() -> None:

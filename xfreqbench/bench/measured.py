@@ -1,7 +1,7 @@
 """Measured powers beside a scene's: how far free space, fitted laws and traced paths are from a measurement.
 
 A measurement says nothing of absolute power (transmit power, cables, antennas), so that each model has one offset for
-each receiver, which is fitted at a random tenth of the positions; everything is scored at the others.
+each receiver, which is fitted at the positions of a random tenth of the cells; everything is scored in the others.
 """
 
 from __future__ import annotations
@@ -106,8 +106,10 @@ def bench_measured(
     settings = resolve_solver(prepared.geometry, settings)
     position_m, power_db = measurement.position_m, measurement.power_db
     check_inside(scene, prepared.geometry.meshes, position_m, "Every measured position")
-    fitted = np.zeros(len(position_m), bool)
-    fitted[np.random.default_rng(seed).permutation(len(position_m))[: max(len(position_m) // 10, NUM_NEAREST)]] = True
+    cell = np.unique(np.floor(position_m / CELL_M), axis=0, return_inverse=True)[1].ravel()
+    drawn = np.random.default_rng(seed).permutation(1 + cell.max())
+    num_before = np.cumsum(np.bincount(cell)[drawn])
+    fitted = np.isin(cell, drawn[: 1 + np.searchsorted(num_before, max(len(position_m) // 10, NUM_NEAREST))])
     for receiver, powers in zip(scene.receivers, power_db[fitted].T, strict=True):
         if not np.isfinite(powers).any():
             raise DataError(
@@ -117,20 +119,36 @@ def bench_measured(
         [_num_walls(prepared, receiver, position_m, carrier_hz[0]) for receiver in scene.receivers], axis=1
     )
     predicted = _predictions(prepared, measurement, carrier_hz, settings, fitted, walls, progress)
-    cell = np.unique(np.floor(position_m / CELL_M), axis=0, return_inverse=True)[1].ravel()
     note = (
         f"{len(position_m):,} positions × {power_db.shape[1]} receivers. Power is averaged over "
-        f"{format_ghz_list(carrier_hz)}, both polarisations, and phases. Offsets are fitted at a tenth of the "
-        f"positions (seed {seed}), and scored are the others. In brackets 95 % intervals by {CELL_M:g} m cells; local "
-        "means are of the errors in such cells; r is within a receiver."
+        f"{format_ghz_list(carrier_hz)}, both polarisations, and phases. Offsets are fitted in a tenth of the cells of "
+        f"{CELL_M:g} m (seed {seed}), and the others are scored. In brackets are 95 % intervals by such cells, the "
+        "second of the RMSE less that of multi-wall, paired. Local means are of the errors in cells; r is within a "
+        "receiver."
     )
     title = f"Measured power in {scene.name}, solver {settings.solver}"
-    columns = "model", "RMSE dB", "in sight", "not in sight", "RMSE of local means", "median error dB", "r"
+    columns = (
+        "model",
+        "RMSE dB",
+        "less multi-wall",
+        "in sight",
+        "not in sight",
+        "RMSE of local means",
+        "median error dB",
+        "r",
+    )
+    error_db = {
+        name: np.where(
+            fitted[:, None],
+            np.nan,
+            model_db + np.nanmean(np.where(fitted[:, None], power_db - model_db, np.nan), axis=0) - power_db,
+        )
+        for name, model_db in predicted.items()
+    }
+    beside_db = next(errors_db for name, errors_db in error_db.items() if name.startswith("multi-wall"))
     with bench.table(title, note, columns) as table:
-        for name, model_db in predicted.items():
-            offset_db = np.nanmean(np.where(fitted[:, None], power_db - model_db, np.nan), axis=0)
-            error_db = np.where(fitted[:, None], np.nan, model_db + offset_db - power_db)
-            table.add(name, *_scores(error_db, power_db, walls == 0, cell, seed))
+        for name, errors_db in error_db.items():
+            table.add(name, *_scores(errors_db, beside_db, power_db, walls == 0, cell, seed))
 
 
 def _predictions(
@@ -235,18 +253,23 @@ def _traced_db(
 
 def _scores(
     error_db: Float[FloatArray, "n R"],
+    beside_db: Float[FloatArray, "n R"],
     power_db: Float[FloatArray, "n R"],
     in_sight: Bool[NDArray[np.bool_], "n R"],
     cell: NDArray[np.int64],
     seed: int,
 ) -> tuple[str, ...]:
-    """The cells of a model's row, behind its name."""
+    """The cells of a model's row, behind its name; `beside_db` are the errors of the model that it is compared with."""
     num_cells = int(cell.max()) + 1
     is_scored = np.isfinite(error_db)
-    squares = np.bincount(cell, np.nansum(error_db**2, axis=1), num_cells)
     counts = np.bincount(cell, is_scored.sum(axis=1), num_cells)
     drawn = np.random.default_rng(seed).multinomial(num_cells, np.full(num_cells, 1 / num_cells), 1000)
-    low, high = np.quantile(np.sqrt(drawn @ squares / np.maximum(drawn @ counts, 1)), [0.025, 0.975])
+    own, other = (
+        np.sqrt(drawn @ np.bincount(cell, np.nansum(errors**2, axis=1), num_cells) / np.maximum(drawn @ counts, 1))
+        for errors in (error_db, beside_db)
+    )
+    less_db = _rms(error_db[is_scored]) - _rms(beside_db[is_scored])
+    (low, high), (least, most) = (np.quantile(values, [0.025, 0.975]) for values in (own, own - other))
     block = (cell[:, None] + num_cells * np.arange(error_db.shape[1]))[is_scored]  # a cell of a receiver
     num_scored = np.bincount(block)
     means = np.bincount(block, error_db[is_scored])[num_scored > 0] / num_scored[num_scored > 0]
@@ -256,6 +279,7 @@ def _scores(
     sights = [error_db[is_scored & sight] for sight in (in_sight, ~in_sight)]
     return (
         f"{_rms(error_db[is_scored]):.2f} [{low:.2f}, {high:.2f}]",
+        f"{less_db:+.2f} [{least:+.2f}, {most:+.2f}]",
         *(f"{_rms(part):.2f}" if len(part) else "–" for part in sights),
         f"{_rms(means):.2f}",
         f"{np.median(np.abs(error_db[is_scored])):.2f}",

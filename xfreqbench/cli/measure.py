@@ -146,7 +146,7 @@ def bench_measured(
     every: Annotated[int, Parameter(help="Use every N-th line of the file.")] = 1,
     solver: Annotated[Literal["auto", "image", "sionna"], Parameter(help="As in `generate`.")] = "auto",
     max_depth: Annotated[int, Parameter(help="Maximum number of interactions of a path.")] = 6,
-    seed: Annotated[int, Parameter(help="Seed that draws the tenth of the lines at which models are fitted.")] = 1,
+    seed: Annotated[int, Parameter(help="Seed that draws the tenth of the cells in which models are fitted.")] = 1,
     output: BenchOutput = None,
     quiet: Quiet = False,
 ) -> None:
