@@ -17,6 +17,7 @@ from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes, triangle_corners_m
 from xfreqbench.scene.model import PatchSize, ReceiverArray, Scene, Surface
 from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.tracing.image.edges import Edge, find_edges
 from xfreqbench.tracing.image.kernels.arrays import MAX_BOXES, MIN_SEGMENT_M
 from xfreqbench.tracing.image.surfaces import MirrorPlanes, grow
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
@@ -337,3 +338,28 @@ def test_an_edge_that_is_hidden_from_the_array_is_left_out_for_all_transmitters(
     assert open_ is not None and closed is not None
     lowest_m = [diffraction.room.wedges.start[:, 2].min() for diffraction in (open_, closed)]
     assert lowest_m[0] < 1 and lowest_m[1] > 2.1  # the furniture is below the lid
+
+
+def edges_of(*surfaces: Surface) -> list[Edge]:
+    mirrors = Geometry(surface_meshes(Scene("edges", RECEIVER, GRID, surface=surfaces))).facets
+    return find_edges(mirrors, np.zeros((0, 3, 3)), np.zeros(0, np.int64))
+
+
+@pytest.mark.parametrize(("gap_m", "num_edges"), [(0.004, 6), (0.02, 8)])
+def test_a_groove_between_two_planks_has_no_edges(gap_m: float, num_edges: int) -> None:
+    planks = [
+        Surface(name, "wood", 0.02, (left_m, 0.0, 0.0), (left_m + 1.0, 1.0, 0.0))
+        for name, left_m in (("left", 0.0), ("right", 1.0 + gap_m))
+    ]
+    edges = edges_of(*planks)
+    assert len(edges) == num_edges
+    assert all(edge.length_m == 1.0 and np.isclose(edge.angle_rad, 2 * np.pi) for edge in edges)
+
+
+def test_a_side_is_an_edge_only_beyond_the_plate_on_which_a_part_of_it_stands() -> None:
+    plate = Surface("plate", "wood", 0.02, (-1.0, -1.0, 0.0), (1.3, 1.0, 0.0))
+    screen = Surface("screen", "wood", 0.02, (0.0, 0.0, 0.0), (2.0, 0.0, 1.0))
+    below = [edge for edge in edges_of(plate, screen) if edge.start_m[2] == edge.start_m[1] == edge.along[2] == 0]
+    assert [edge.surfaces for edge in below] == [(1, 1)]
+    ends_m = sorted(edge_m[0] for edge in below for edge_m in (edge.start_m, edge.start_m + edge.length_m * edge.along))
+    np.testing.assert_allclose(ends_m, [1.3, 2.0])

@@ -3,6 +3,7 @@
 A box has twelve, a screen has one along each free side of its rim. Facets that go on in one plane, a wall that
 stands on the floor and the corner of a room as seen from inside leave half of the space or less. Triangles that do not
 mirror, small parts of curved meshes, have no edges of their own; where they meet a mirror they are faces of its edges.
+Neither has a groove, a gap of less than 1 cm in a plane.
 """
 
 from __future__ import annotations
