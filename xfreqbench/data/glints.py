@@ -12,7 +12,6 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.retrace import traced_scene
 from xfreqbench.errors import DataError
 from xfreqbench.scene.model import Scene
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION
 from xfreqbench.types import FloatArray, IntArray
@@ -66,8 +65,7 @@ def _paths(
 ) -> tuple[Int[IntArray, "n"], Float[FloatArray, "n F"]]:
     """Number of paths of each transmitter to the array centre, and their power at each carrier."""
     settings = replace(dataset.trace_settings, solver="sionna", interactions=WITHOUT_DIFFRACTION)
-    prepared = PreparedScene.of(scene)
-    tracer = tracer_of(prepared, dataset.header.carrier_hz.tolist(), settings)
+    tracer = tracer_of(scene, dataset.header.carrier_hz.tolist(), settings)
     paths = [tracer.paths(tx) for tx in tx_position_m]
     counts = np.array([len(found.delay_s) for found in paths], dtype=np.int64)
     return counts, np.array([(np.abs(found.gain) ** 2).sum(axis=1) for found in paths])

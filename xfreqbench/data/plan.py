@@ -35,7 +35,6 @@ from xfreqbench.scene.placement import (
     place_transmitters,
 )
 from xfreqbench.scene.polygons import extents_m
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.rooms import check_closed
 from xfreqbench.scene.visibility import is_closed, sees
 from xfreqbench.system.files import json_sha256
@@ -77,7 +76,7 @@ class Plan:
     @property
     def geometry(self) -> Geometry:
         """Meshes and facets of the scene."""
-        return self.tracing.prepared().geometry
+        return self.tracing.geometry
 
     @property
     def settings(self) -> TraceSettings:
@@ -184,7 +183,7 @@ class Plan:
         return [slice(start, min(start + step, count)) for start in range(0, count, step)]
 
 
-def plan_generation(scene: str | Path | Scene | PreparedScene, options: GenerateOptions) -> Plan:
+def plan_generation(scene: str | Path | Scene, options: GenerateOptions) -> Plan:
     """Check the options for a scene's data set and look up all that it needs; no ray is shot.
 
     The transmitters are those of `tx_positions`, or otherwise the scene's usable grid positions; the seed chooses `tx`
@@ -197,9 +196,8 @@ def plan_generation(scene: str | Path | Scene | PreparedScene, options: Generate
     carriers = sorted(map(ghz_to_hz, options.freqs_ghz))
     if len(set(carriers)) < len(carriers):
         raise XFreqBenchError(f"Each carrier can be given once, but {format_ghz_list(carriers)} names one twice.")
-    prepared = PreparedScene.of(scene)
-    pairs = _pairs(options.polarization)
-    scene, geometry = _with_receivers(prepared.scene, options.receiver), prepared.geometry
+    geometry, pairs = Geometry.of(scene), _pairs(options.polarization)
+    scene = _with_receivers(scene, options.receiver)
     scene = scene.with_polarization(pairs[0]) if pairs else scene
     rays = settings.rays if settings.solver == "sionna" else 0
     require_memory(
@@ -267,7 +265,7 @@ def _header(
 ) -> DatasetHeader:
     """The header of the file."""
     settings = TypeAdapter(TraceSettings).dump_python(tracing.settings, mode="json")
-    rough = [{"material": name, **how.stated} for name, how in tracing.prepared().geometry.scattering]
+    rough = [{"material": name, **how.stated} for name, how in tracing.geometry.scattering]
     return DatasetHeader(
         scene_name=tracing.scene.name,
         scene_json=tracing.scene.canonical_json,

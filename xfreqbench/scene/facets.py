@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from xfreqbench.scene.materials import Scattering
-from xfreqbench.scene.meshes import SurfaceMesh
+from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes
+from xfreqbench.scene.model import Scene
 from xfreqbench.scene.patches import PLANE_TOLERANCE, mirror_patches
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
@@ -31,6 +32,11 @@ class Geometry:
 
     def __init__(self, meshes: Sequence[SurfaceMesh]) -> None:
         self.meshes = list(meshes)
+
+    @classmethod
+    def of(cls, scene: Scene) -> Geometry:
+        """That of a scene; raises `SceneError` for meshes that cannot be read."""
+        return cls(surface_meshes(scene))
 
     @property
     def num_triangles(self) -> int:

@@ -22,7 +22,6 @@ from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes
 from xfreqbench.scene.model import ReceiverArray, Scene, load_scene
 from xfreqbench.scene.placement import median_transmitter
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, NO_INTERACTION, REFRACTION, SPECULAR, Paths
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import TraceSettings
@@ -124,8 +123,7 @@ class ViewPlan:
             return self
         room = self.room
         carriers_hz = self.header.carrier_hz.tolist() if self.dataset else [self.carrier_hz]
-        prepared = PreparedScene(self.scene, Geometry(room.meshes))
-        paths = tracer_of(prepared, carriers_hz, self.settings).paths(room.tx_m)
+        paths = tracer_of(self.scene, carriers_hz, self.settings, Geometry(room.meshes)).paths(room.tx_m)
         index = carriers_hz.index(self.carrier_hz)
         rays = _strongest_rays(paths, index, room.tx_m, room.receiver_m, room.meshes)
         return replace(self, room=replace(room, rays=rays))
