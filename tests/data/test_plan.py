@@ -119,4 +119,4 @@ def test_what_does_not_fit_into_memory_is_refused(
 def test_a_plan_replaces_auto_and_orders_the_carriers() -> None:
     plan = plan_generation(load_scene("two_rooms"), CARRIERS_HZ[::-1], SETTINGS, tx=2)
     assert plan.tracing.carrier_hz == tuple(CARRIERS_HZ)
-    assert plan.settings.solver == plan.header.settings["solver"] == "image"
+    assert plan.tracing.settings.solver == plan.header.settings["solver"] == "image"

@@ -172,15 +172,11 @@ def _power_cells(row: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _spread_cells(row: dict[str, Any]) -> tuple[str, ...]:
-    delays = ("", "_38901", "_mmmagic", "_small_room", "_room_decay")
-    angles = {
-        name: _beside(
-            [row[f"{name}_spread{of}_deg"] for of in ("", "_38901", "_mmmagic")], row[f"{name}_spread_sd_deg"]
-        )
-        for name in ("arrival_azimuth", "departure_azimuth", "arrival_zenith", "departure_zenith")
-    }
-    delay = _beside([row[f"delay_spread{name}_ns"] for name in delays], row["delay_spread_sd_ns"])
-    return format_ghz(row["carrier_ghz"] * 1e9), f"{row['num_paths']:.0f}", delay, *angles.values()
+    kinds, cells = ("", "_38901", "_mmmagic", "_small_room", "_room_decay"), list[str]()
+    for name in ("delay", "arrival_azimuth", "departure_azimuth", "arrival_zenith", "departure_zenith"):
+        unit, of = ("ns", kinds) if name == "delay" else ("deg", kinds[:3])
+        cells.append(_beside([row[f"{name}_spread{kind}_{unit}"] for kind in of], row[f"{name}_spread_sd_{unit}"]))
+    return format_ghz(row["carrier_ghz"] * 1e9), f"{row['num_paths']:.0f}", *cells
 
 
 def _beside(values: list[float], scatter: float) -> str:

@@ -154,11 +154,11 @@ def _view_of_scene(scene: Scene, tx: int | None, carrier_ghz: float | None) -> V
         tx_position_m=plan.tx_position_m,
         in_sight=plan.line_of_sight,
         tx=_chosen_tx(tx, plan.tx_position_m, f"scene {scene.name}"),
-        meshes=plan.geometry.meshes,
+        meshes=plan.tracing.geometry.meshes,
         rays=[],
     )
-    recipe = Recipe.of_scene(scene, plan.settings, plan.header, plan.tx_position_m, AngularGrid.hemisphere())
-    return ViewPlan(plan.header, room, carrier_hz, None, scene, plan.settings, recipe.sha256)
+    recipe = Recipe.of_scene(scene, plan.tracing.settings, plan.header, plan.tx_position_m, AngularGrid.hemisphere())
+    return ViewPlan(plan.header, room, carrier_hz, None, scene, plan.tracing.settings, recipe.sha256)
 
 
 def _view_of_dataset(dataset: PasDataset, tx: int | None, carrier_ghz: float | None) -> ViewPlan:
