@@ -15,7 +15,8 @@ from xfreqbench.data.dataset import PasDataset
 from xfreqbench.errors import DataError, MethodError
 from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.lookup import NoOptions
-from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.scene.facets import Geometry
+from xfreqbench.scene.model import Scene
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.types import FloatArray, NDArray
 
@@ -35,7 +36,7 @@ class PlanTracer:
     def adapt(self, heard: PasDataset, budget: Budget) -> TracedPlan:
         """The plan, prepared for tracing; raises `MethodError` where it is not told."""
         try:
-            return TracedPlan(heard, PreparedScene.of(heard.scene))
+            return TracedPlan(heard, heard.scene)
         except DataError as error:
             raise MethodError("The plan is not told. Use protocol unseen-rooms-plan.") from error
 
@@ -52,8 +53,8 @@ class PlanTracer:
 class TracedPlan:
     """Predicts the maps of one room by tracing its plan, as its data were traced."""
 
-    def __init__(self, heard: PasDataset, scene: PreparedScene) -> None:
-        self._heard, self._scene = heard, scene
+    def __init__(self, heard: PasDataset, scene: Scene) -> None:
+        self._heard, self._scene, self._geometry = heard, scene, Geometry.of(scene)
 
     def predict(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
@@ -61,5 +62,5 @@ class TracedPlan:
         """Maps with peak 1."""
         place_m, tx = np.unique(tx_position_m, axis=0, return_inverse=True)
         known_hz, carrier = np.unique(carrier_hz, return_inverse=True)
-        cfr = tracer_of(self._scene, known_hz, self._heard.trace_settings).channel(place_m).cfr
+        cfr = tracer_of(self._scene, known_hz, self._heard.trace_settings, self._geometry).channel(place_m).cfr
         return self._heard.beam.maps(cfr[tx.ravel(), carrier], self._heard.header.pas_kind)[0]

@@ -18,9 +18,9 @@ from xfreqbench.examples.make_office_cluttered import write_scene
 
 import xfreqbench as xb
 from xfreqbench.data.statistics import WINDOW_DB, of_paths
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.placement import place_transmitters
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.visibility import sees
 from xfreqbench.tracing.paths import RaggedPaths
 
@@ -68,9 +68,9 @@ def variants(folder: Path) -> Iterator[tuple[str, xb.Scene, xb.TraceSettings]]:
 
 def main(num_tx: int) -> None:
     """Print the table."""
-    full = PreparedScene.of(xb.load_scene("office_cluttered"))
-    meshes, receiver_m = full.geometry.meshes, np.array(full.scene.receiver.position_m)
-    free_m = place_transmitters(full.scene, meshes, 1e9 * FREQS_GHZ[0]).tx_position_m
+    full = xb.load_scene("office_cluttered")
+    meshes, receiver_m = Geometry.of(full).meshes, np.array(full.receiver.position_m)
+    free_m = place_transmitters(full, meshes, 1e9 * FREQS_GHZ[0]).tx_position_m
     free_m = free_m[sees(meshes, free_m, receiver_m)]
     tx_m = free_m[np.linspace(0, len(free_m) - 1, num_tx).astype(int)]
     print("| | delay spread ns | azimuth spread ° | K dB |\n|---|---|---|---|")

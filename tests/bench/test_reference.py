@@ -11,7 +11,6 @@ from xfreqbench.bench.reference import Reference, _write_reference, make_referen
 from xfreqbench.bench.solvers import map_errors
 from xfreqbench.errors import OutputExistsError
 from xfreqbench.scene.model import load_scene
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import ignore_progress
@@ -32,7 +31,7 @@ def test_channels_of_a_furnished_room_reach_the_bar_against_eight_times_the_rays
     reference = read_reference(lounge)
     assert reference.about["way"] == "solver image" and reference.about["rays"] == 8 * TraceSettings().rays
     settings = TraceSettings(interactions=("specular", "refraction"), rays=100_000)
-    tracer = tracer_of(PreparedScene.of(lounge), reference.carrier_hz, settings)
+    tracer = tracer_of(lounge, reference.carrier_hz, settings)
     for error in map_errors(lounge, tracer.channel(reference.tx_position_m).cfr, reference.cfr):
         assert error.median_psnr_db > 50 and error.fifth_percentile_psnr_db > 40
 

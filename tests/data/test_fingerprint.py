@@ -29,7 +29,6 @@ from xfreqbench.data.fingerprint import (
 from xfreqbench.data.generate import generate
 from xfreqbench.errors import DataError, OutputExistsError
 from xfreqbench.scene.model import Scene, load_scene
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.toml_files import shipped_scenes
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
@@ -67,7 +66,7 @@ QUICK = {"corridor", "empty", "office", "two_rooms"}  # the others take ten seco
 )
 def test_the_channels_of_today_are_those_of_the_fingerprint(name: str) -> None:
     """Where this fails by more than digits, `PHYSICS_VERSION` has to be raised, and the fingerprints made anew."""
-    scene = PreparedScene.of(load_scene(name))
+    scene = load_scene(name)
     for diffraction, interactions in ((False, WITHOUT_DIFFRACTION), (True, None)):
         path = fingerprint_path(name, diffraction=diffraction)
         known = read_fingerprint(path)

@@ -24,7 +24,6 @@ from xfreqbench.errors import DataError, XFreqBenchError
 from xfreqbench.scene.materials import Scattering, SceneMaterial
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import load_scene
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Channel, TraceSettings
 
@@ -51,7 +50,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_paths_of_a_sample_are_those_that_were_traced(stored: PasDataset) -> None:
     verify(stored.path)
-    tracer = tracer_of(PreparedScene.of(stored.scene), CARRIERS_HZ, stored.trace_settings)
+    tracer = tracer_of(stored.scene, CARRIERS_HZ, stored.trace_settings)
     names = tuple(mesh.name for mesh in surface_meshes(stored.scene))
     for sample in (0, 7, 7):
         tx, carrier = divmod(sample, 2)

@@ -22,7 +22,7 @@ from xfreqbench.errors import (
     UnknownNameError,
     XFreqBenchError,
 )
-from xfreqbench.scene import facets, prepared
+from xfreqbench.scene import facets
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.system import machine
 from xfreqbench.tracing.tracer import SolverName, TraceSettings
@@ -56,7 +56,7 @@ def test_a_plan_says_that_the_maps_of_an_array_without_extent_are_constant() -> 
 def test_meshes_and_mirrors_are_found_once_where_a_scene_is_planned_and_traced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    counted = [(prepared, "surface_meshes"), (facets, "mirror_patches")]
+    counted = [(facets, "surface_meshes"), (facets, "mirror_patches")]
     calls = [Mock(wraps=getattr(module, name)) for module, name in counted]
     for (module, name), call in zip(counted, calls, strict=True):
         monkeypatch.setattr(module, name, call)
@@ -88,7 +88,7 @@ def test_a_worker_is_told_a_scene_and_builds_its_geometry_itself() -> None:
     assert told == tracing and hash(told) == hash(tracing)
     assert told.known_geometry is None
     assert len(pickled) < 10_000
-    for there, here in zip(told.prepared().geometry.meshes, tracing.prepared().geometry.meshes, strict=True):
+    for there, here in zip(told.geometry.meshes, tracing.geometry.meshes, strict=True):
         np.testing.assert_array_equal(there.corners_m, here.corners_m)
 
 
@@ -98,8 +98,8 @@ def test_a_worker_that_finds_other_meshes_or_software_refuses_the_work(monkeypat
     forget_rays()
     with pytest.raises(ClusterError, match=r"other software: numpy .* \(here 1\.0\)"):
         traced(told, batch, {**plan.header.software, "numpy": "1.0"})
-    meshes = prepared.surface_meshes
-    monkeypatch.setattr(prepared, "surface_meshes", lambda scene: meshes(scene)[:-1])
+    meshes = facets.surface_meshes
+    monkeypatch.setattr(facets, "surface_meshes", lambda scene: meshes(scene)[:-1])
     with pytest.raises(ClusterError, match="finds other meshes of scene 'two_rooms'"):
         traced(told, batch, plan.header.software)
 
@@ -119,4 +119,4 @@ def test_what_does_not_fit_into_memory_is_refused(
 def test_a_plan_replaces_auto_and_orders_the_carriers() -> None:
     plan = plan_generation(load_scene("two_rooms"), CARRIERS_HZ[::-1], SETTINGS, tx=2)
     assert plan.tracing.carrier_hz == tuple(CARRIERS_HZ)
-    assert plan.settings.solver == plan.header.settings["solver"] == "image"
+    assert plan.tracing.settings.solver == plan.header.settings["solver"] == "image"

@@ -39,7 +39,7 @@ def planned(
 
 
 def recipe_of(plan: Plan, grid: AngularGrid = GRID_OF_MAPS) -> Recipe:
-    return Recipe.of_scene(plan.scene, plan.settings, plan.header, plan.tx_position_m, grid)
+    return Recipe.of_scene(plan.tracing.scene, plan.tracing.settings, plan.header, plan.tx_position_m, grid)
 
 
 @pytest.fixture(scope="module")

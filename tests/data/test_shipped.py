@@ -34,7 +34,7 @@ def test_the_office_ships_as_it_would_be_traced_now() -> None:
     data = xb.load("office")
     assert data.path == OFFICE.resolve() and shipped.registered()["office"].sha256 == pooch.file_hash(OFFICE)
     plan = plan_generation("office", GenerateOptions(maps=False))
-    asked = Recipe.of_scene(plan.scene, plan.settings, plan.header, plan.tx_position_m, data.grid)
+    asked = Recipe.of_scene(plan.tracing.scene, plan.tracing.settings, plan.header, plan.tx_position_m, data.grid)
     assert data.recipe == asked
     match = compare_fingerprint(data)
     assert match.difference is not None and match.difference <= match.tolerance

@@ -38,7 +38,7 @@ def require_valid(seed: int) -> None:
     room = draw_room(FAMILY, seed)
     tx_position_m = room.transmitters(40)
     plan = plan_generation(room.scene, [1e9, 94e9], TraceSettings(), tx_positions=tx_position_m, maps=False)
-    assert plan.settings.solver == "image"
+    assert plan.tracing.settings.solver == "image"
     for solid in room.solids:
         start_m, along_m = solid.outline_m, np.roll(solid.outline_m, -1, axis=0) - solid.outline_m
         x_m, y_m = np.moveaxis(tx_position_m[:, None, :2] - start_m, -1, 0)

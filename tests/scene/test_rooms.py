@@ -99,7 +99,7 @@ def test_a_room_that_is_one_mesh_can_be_planned(tmp_path: Path, kind: str) -> No
     write_meshes(tmp_path)
     scene = scene_with(tmp_path, WOOD, file_shape(f"meshes/room.{kind}"), file_shape("meshes/table.ply"))
     plan = plan_generation(scene, [2.4e9, 60e9], maps=False)
-    assert (len(plan.tx_position_m), plan.settings.solver) == (2, "image")
+    assert (len(plan.tx_position_m), plan.tracing.settings.solver) == (2, "image")
     assert plan.line_of_sight.all()
 
 

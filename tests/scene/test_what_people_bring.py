@@ -15,7 +15,6 @@ from xfreqbench.errors import SceneError, UnknownNameError
 from xfreqbench.scene.materials import ConstantMaterial, Scattering
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes, write_mitsuba
 from xfreqbench.scene.model import load_scene, parse_scene
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import TraceSettings
 
@@ -87,7 +86,7 @@ def test_both_solvers_give_one_channel_with_an_own_material() -> None:
     vacuum = parse_scene(f'name = "test"\n{PLACES}{OWN.replace("1.5", "1.0").replace("0.002", "0.0")}{FOAM}')
     settings = replace(PLAIN, max_depth=1, rays=10_000)
     image, sionna, nothing = (
-        tracer_of(PreparedScene.of(traced), carriers_hz, replace(settings, solver=solver)).channel(tx_position_m).cfr
+        tracer_of(traced, carriers_hz, replace(settings, solver=solver)).channel(tx_position_m).cfr
         for traced, solver in ((scene, "image"), (scene, "sionna"), (vacuum, "image"))
     )
     assert np.abs(image - sionna).max() < 2e-3 * np.abs(image).max()  # Sionna's float32
@@ -98,7 +97,7 @@ def test_both_solvers_give_one_channel_with_an_own_material() -> None:
 def test_a_slab_that_single_precision_cannot_hold_is_refused() -> None:
     thick = FOAM.replace("thickness_m = 0.1", "thickness_m = 1000.0")
     scene = parse_scene(f'name = "test"\n{PLACES}{OWN.replace("0.002", "1e9")}{thick}')
-    tracer = tracer_of(PreparedScene.of(scene), [94e9], replace(PLAIN, solver="sionna", max_depth=1, rays=10_000))
+    tracer = tracer_of(scene, [94e9], replace(PLAIN, solver="sionna", max_depth=1, rays=10_000))
     with pytest.raises(SceneError, match=r"At 94 GHz Sionna RT gives 16 of 32 paths a field that is not a number"):
         tracer.channel(np.array([[3.5, 3.0, 1.5]]))
 

@@ -16,7 +16,6 @@ from xfreqbench.data.plane_waves import stored_channels
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import ReceiverArray, Scene, TransmitterGrid
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray
@@ -75,7 +74,7 @@ class RandomRoom:
     def traced(self, path: Path) -> PasDataset:
         """The channels of all transmitters at `CARRIERS_HZ`, stored in a new file."""
         scene = Scene("random room", self.receiver, TransmitterGrid((0, 0, 1), (0, 0, 1), (1, 1, 1)))
-        tracer = ImageTracer(PreparedScene(scene, Geometry(self.walls)), CARRIERS_HZ, _SETTINGS)
+        tracer = ImageTracer(scene, CARRIERS_HZ, _SETTINGS, geometry=Geometry(self.walls))
         cfr = tracer.channel(self.tx_position_m).cfr
         carriers_hz = np.array(CARRIERS_HZ)
         return stored_channels(path, self.receiver, carriers_hz, self.tx_position_m, cfr, maps=False)

@@ -27,9 +27,9 @@ from xfreqbench.bench.reference import read_reference
 from xfreqbench.bench.solvers import map_errors
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes, write_mitsuba
 from xfreqbench.scene.model import POLARIZATION_PAIRS, ReceiverArray, Scene, TransmitterGrid, load_scene
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.solvers import tracer_of
@@ -54,7 +54,7 @@ def public_paths(scene: Scene, carrier_hz: float, tx: NDArray[np.float64]) -> An
 
 
 def tracers(scene: Scene) -> list[Tracer]:
-    return [tracer_of(PreparedScene.of(scene), CARRIERS_HZ, replace(SETTINGS, solver=solver)) for solver in SOLVERS]
+    return [tracer_of(scene, CARRIERS_HZ, replace(SETTINGS, solver=solver)) for solver in SOLVERS]
 
 
 @pytest.mark.parametrize("polarization", POLARIZATIONS)
@@ -116,7 +116,7 @@ def test_interactions_that_are_off_do_not_happen(
     settings = TraceSettings(solver=solver, interactions=interactions, max_depth=max_depth, rays=50_000)
     in_sight_m = np.array([3.1, 1.2, 1.1])
     tx_m = np.array([TRANSMITTERS_M[0], in_sight_m])
-    behind, beside = tracer_of(PreparedScene.of(scene), [1e9], settings).channel(tx_m).num_paths.ravel().tolist()
+    behind, beside = tracer_of(scene, [1e9], settings).channel(tx_m).num_paths.ravel().tolist()
     assert behind == num_paths
     if not (interactions and max_depth):
         assert beside == 1  # the line of sight
@@ -127,7 +127,7 @@ def test_the_defaults_meet_the_convergence_bar_on_the_office(solver: SolverName)
     office = load_scene("office")
     reference = read_reference(office)
     settings = TraceSettings(solver, ("specular", "refraction"))
-    tracer = tracer_of(PreparedScene.of(office), reference.carrier_hz.tolist(), settings)
+    tracer = tracer_of(office, reference.carrier_hz.tolist(), settings)
     for error in map_errors(office, tracer.channel(reference.tx_position_m).cfr, reference.cfr):
         assert error.meets_bar and error.median_ssim > 0.99
 
@@ -147,9 +147,7 @@ def test_channels_do_not_depend_on_where_the_origin_is(
     offset_m: tuple[float, float, float], solver: SolverName
 ) -> None:
     scene, settings = simple_scenes()["a wall and a pane between"], replace(SETTINGS, solver=solver)
-    here, there = (
-        tracer_of(PreparedScene.of(placed), CARRIERS_HZ, settings) for placed in (scene, moved(scene, offset_m))
-    )
+    here, there = (tracer_of(placed, CARRIERS_HZ, settings) for placed in (scene, moved(scene, offset_m)))
     channel, same = here.channel(TRANSMITTERS_M), there.channel(TRANSMITTERS_M + offset_m)
     np.testing.assert_array_equal(same.num_paths, channel.num_paths)
     error = np.linalg.norm(same.cfr - channel.cfr, axis=2) / np.linalg.norm(channel.cfr, axis=2)
@@ -166,11 +164,11 @@ def test_the_field_right_below_an_element_is_that_beside_it(
 ) -> None:
     floor = replace(CONCRETE_WALL, name="floor", min_m=(-4.0, -4.0, 0.0), max_m=(6.0, 6.0, 0.0))
     receiver = replace(RECEIVER, rows=elements_per_side, cols=elements_per_side, polarization=polarization)
-    prepared = PreparedScene.of(scene_of(CONCRETE_WALL, floor, receiver=receiver))
+    scene = scene_of(CONCRETE_WALL, floor, receiver=receiver)
     tx = np.array([[2.0, 1.5 + aside, z] for z in (0.7, 2.9) for aside in (0.0, 1e-7, 5e-6)])
     beside = np.array([[2.0, 1.5 + 1e-4, z] for z in (0.7, 2.9) for _ in range(3)])  # paths as long but for 1e-8
-    truth = tracer_of(prepared, CARRIERS_HZ, replace(SETTINGS, solver="image")).channel(beside).cfr
-    tracer = tracer_of(prepared, CARRIERS_HZ, replace(SETTINGS, solver=solver))
+    truth = tracer_of(scene, CARRIERS_HZ, replace(SETTINGS, solver="image")).channel(beside).cfr
+    tracer = tracer_of(scene, CARRIERS_HZ, replace(SETTINGS, solver=solver))
     largest = np.abs(truth).max(axis=(0, 2), keepdims=True)
     np.testing.assert_allclose(tracer.channel(tx).cfr / largest, truth / largest, atol=1e-3)
     assert (tracer.paths(tx[0]).gain[:, 1].real > 0).all()  # by the floor
@@ -187,18 +185,18 @@ def test_a_users_tilted_mesh_scene_is_traced_alike_by_both_solvers(tmp_path: Pat
     write_mitsuba([tilted(mesh) for mesh in (*surface_meshes(scene), wall, pane)], tmp_path)
     imported = replace(scene, surface=(), scene="scene.xml", folder=tmp_path)
     settings = TraceSettings(interactions=("specular", "refraction"), rays=400_000, max_depth=3)
-    prepared = PreparedScene.of(imported)
+    geometry = Geometry.of(imported)
     carriers_hz = CARRIERS_HZ[::2]
     image = (
-        ImageTracer(prepared, carriers_hz, settings, ImageSavings(field_nodes_per_axis=4)).channel(TRANSMITTERS_M).cfr
+        ImageTracer(imported, carriers_hz, settings, ImageSavings(field_nodes_per_axis=4)).channel(TRANSMITTERS_M).cfr
     )
-    sionna = tracer_of(prepared, carriers_hz, replace(settings, solver="sionna")).channel(TRANSMITTERS_M).cfr
+    sionna = tracer_of(imported, carriers_hz, replace(settings, solver="sionna")).channel(TRANSMITTERS_M).cfr
     is_short = np.zeros(image.shape, bool)  # where Sionna RT drops a path
     for f, carrier_hz in enumerate(carriers_hz):
         for m, place_m in enumerate(scene.receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)):
             receiver = replace(scene.receiver, rows=1, cols=1, position_m=tuple(place_m.tolist()))
-            alone = PreparedScene(replace(imported, receiver=receiver), prepared.geometry)
-            tracer = ImageTracer(alone, [carrier_hz], replace(settings, rays=50_000))
+            alone = replace(imported, receiver=receiver)
+            tracer = ImageTracer(alone, [carrier_hz], replace(settings, rays=50_000), geometry=geometry)
             is_short[:, f, m] = [shortest_stretch_m(tracer.paths(tx), tx, place_m) < 0.011 for tx in TRANSMITTERS_M]
     assert 0 < is_short.mean() < 0.25
     # float32 vertices, and paths along an edge that one of the two misses
@@ -218,7 +216,7 @@ def test_a_traced_direct_path_peaks_where_the_transmitter_stands_in_the_receiver
     pole = np.array(boresight) / np.linalg.norm(boresight)
     towards = pole + 0.4 * np.array([0.48, -0.6, 0.64])  # within the hemisphere, off every axis
     tx = np.asarray(receiver.position_m) + 3.0 * towards[None]
-    channel = tracer_of(PreparedScene.of(scene), CARRIERS_HZ, replace(SETTINGS, solver=solver)).channel(tx)
+    channel = tracer_of(scene, CARRIERS_HZ, replace(SETTINGS, solver=solver)).channel(tx)
     grid = AngularGrid.hemisphere()
     maps, _ = BartlettBeam(receiver.element_position_wavelengths, grid).maps(channel.cfr[0])
     for pas_map in maps:
@@ -239,7 +237,7 @@ def test_all_pairs_of_polarizations_are_those_of_a_public_solve_with_two_polariz
         normalize_delays=False, out_type="numpy"
     )
     expected = gain[0, :, 0].sum(axis=(2, 3))  # heard by, sent by
-    first = tracer_of(PreparedScene.of(scene), [carrier_hz], replace(SETTINGS, solver=solver))
+    first = tracer_of(scene, [carrier_hz], replace(SETTINGS, solver=solver))
     for pair in POLARIZATION_PAIRS:
         traced = first.with_antennas(scene.with_polarization(pair)).channel(tx).cfr.item()
         sent, heard = ("VH".index(letter) for letter in pair)

@@ -13,7 +13,6 @@ from tests.support.furnished_room import TX_M, furnished_room
 from tests.support.screened_room import SCENE as SCREENED
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, Surface
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.visibility import distance_to_surfaces
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.paths import (
@@ -57,7 +56,7 @@ def require_on_named_surfaces(scene: Scene, tracer: Tracer, tx: np.ndarray) -> s
 
 def test_a_path_among_meshes_meets_the_surfaces_that_it_names(tmp_path: Path) -> None:
     room = furnished_room(tmp_path, subdivisions=1)
-    tracer = tracer_of(PreparedScene.of(room), CARRIERS_HZ, replace(SETTINGS, solver="image"))
+    tracer = tracer_of(room, CARRIERS_HZ, replace(SETTINGS, solver="image"))
     for tx in TX_M:
         require_on_named_surfaces(room, tracer, tx)
 
@@ -66,7 +65,7 @@ def test_a_path_among_meshes_meets_the_surfaces_that_it_names(tmp_path: Path) ->
 def test_a_path_meets_the_surfaces_that_it_names_and_its_directions_and_delay_are_those_of_these_points(
     solver: SolverName, settings: TraceSettings
 ) -> None:
-    tracer = tracer_of(PreparedScene.of(SCENE), CARRIERS_HZ, replace(settings, solver=solver))
+    tracer = tracer_of(SCENE, CARRIERS_HZ, replace(settings, solver=solver))
     codes = require_on_named_surfaces(SCENE, tracer, SHADOWED_M)
     assert (DIFFRACTION in codes) == (settings is OVER_EDGES)
     receiver_m, paths = np.asarray(SCENE.receiver.position_m), tracer.paths(SHADOWED_M)
@@ -91,7 +90,7 @@ def test_angles_name_the_direction() -> None:
 
 
 def test_one_behind_the_other_paths_lose_single_precision_alone() -> None:
-    tracer = tracer_of(PreparedScene.of(SCENE), CARRIERS_HZ, replace(SETTINGS, solver="image"))
+    tracer = tracer_of(SCENE, CARRIERS_HZ, replace(SETTINGS, solver="image"))
     tx_m, receiver_m = np.array([[1.0, 1.0, 1.0], [6.0, 3.0, 1.0]]), np.asarray(SCENE.receiver.position_m)
     paths = [tracer.paths(tx) for tx in tx_m]
     ragged = RaggedPaths.of(paths, tx_m, receiver_m)

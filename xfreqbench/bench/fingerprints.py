@@ -42,7 +42,9 @@ def make_fingerprint(
     options = GenerateOptions(interactions=names, tx_positions=_chosen(scene, min(carriers_hz)))
     plan = plan_generation(scene, options)
     header = plan.header
-    recipe = Recipe.of_scene(plan.scene, plan.settings, header, plan.tx_position_m, AngularGrid.hemisphere())
+    recipe = Recipe.of_scene(
+        plan.tracing.scene, plan.tracing.settings, header, plan.tx_position_m, AngularGrid.hemisphere()
+    )
 
     def fault_of(file: Path) -> str | None:
         try:

@@ -17,9 +17,9 @@ from scipy.spatial import KDTree
 
 from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import DataError, SceneError
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.scene.placement import check_inside
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.tables import read_table
 from xfreqbench.tracing.paths import DIFFRACTION, NO_INTERACTION
 from xfreqbench.tracing.solvers import resolve_solver, tracer_of
@@ -102,10 +102,10 @@ def bench_measured(
     where all positions are outside of the scene, and `DataError` where a receiver has no power to fit.
     """
     bench.introduce()
-    prepared = PreparedScene.of(scene)
-    settings = resolve_solver(prepared.geometry, settings)
+    geometry = Geometry.of(scene)
+    settings = resolve_solver(geometry, settings)
     position_m, power_db = measurement.position_m, measurement.power_db
-    check_inside(scene, prepared.geometry.meshes, position_m, "Every measured position")
+    check_inside(scene, geometry.meshes, position_m, "Every measured position")
     cell = np.unique(np.floor(position_m / CELL_M), axis=0, return_inverse=True)[1].ravel()
     drawn = np.random.default_rng(seed).permutation(1 + cell.max())
     num_before = np.cumsum(np.bincount(cell)[drawn])
@@ -116,9 +116,9 @@ def bench_measured(
                 f"No position of the tenth that is fitted has a power of {receiver.name}. Give another --seed."
             )
     walls = np.stack(
-        [_num_walls(prepared, receiver, position_m, carrier_hz[0]) for receiver in scene.receivers], axis=1
+        [_num_walls(scene, geometry, receiver, position_m, carrier_hz[0]) for receiver in scene.receivers], axis=1
     )
-    predicted = _predictions(prepared, measurement, carrier_hz, settings, fitted, walls, progress)
+    predicted = _predictions(scene, geometry, measurement, carrier_hz, settings, fitted, walls, progress)
     note = (
         f"{len(position_m):,} positions × {power_db.shape[1]} receivers. Power is averaged over "
         f"{format_ghz_list(carrier_hz)}, both polarisations, and phases. Offsets are fitted in a tenth of the cells of "
@@ -152,7 +152,8 @@ def bench_measured(
 
 
 def _predictions(
-    prepared: PreparedScene,
+    scene: Scene,
+    geometry: Geometry,
     measurement: Measurement,
     carrier_hz: Sequence[float],
     settings: TraceSettings,
@@ -162,7 +163,7 @@ def _predictions(
 ) -> dict[str, Float[FloatArray, "n R"]]:
     """Powers in dB, up to an offset for each receiver, by every model: those without the room come first."""
     position_m, power_db = measurement.position_m, measurement.power_db
-    receiver_m = np.array([receiver.position_m for receiver in prepared.scene.receivers])
+    receiver_m = np.array([receiver.position_m for receiver in scene.receivers])
     distance_m = np.linalg.norm(position_m[:, None] - receiver_m, axis=2)
     if not distance_m.all():
         raise SceneError("A measured position is that of a receiver. Leave it out.")
@@ -175,7 +176,7 @@ def _predictions(
         f"multi-wall, fitted {wall_db:.2f} dB a wall": 2 * decades_db - wall_db * walls,
         f"mean of the {NUM_NEAREST} nearest of the tenth": _nearest_db(position_m, power_db, fitted),
     }
-    return models | _traced_db(prepared, position_m, carrier_hz, settings, progress)
+    return models | _traced_db(scene, geometry, position_m, carrier_hz, settings, progress)
 
 
 def _slope(
@@ -200,24 +201,25 @@ def _nearest_db(
 
 
 def _num_walls(
-    prepared: PreparedScene, receiver: ReceiverArray, position_m: Float[FloatArray, "n 3"], carrier_hz: float
+    scene: Scene, geometry: Geometry, receiver: ReceiverArray, position_m: Float[FloatArray, "n 3"], carrier_hz: float
 ) -> Float[FloatArray, "n"]:
     """How many surfaces the straight line from a receiver to each position passes; 16 where one is opaque."""
     settings = TraceSettings("image", ("refraction",), max_depth=16, materials="extrapolate")
-    tracer = tracer_of(_alone(prepared, receiver, "V"), [carrier_hz], settings)
+    tracer = tracer_of(_alone(scene, receiver, "V"), [carrier_hz], settings, geometry)
     paths = [tracer.paths(place_m) for place_m in position_m]
     walls = [(found.interactions != NO_INTERACTION).sum() if len(found.delay_s) else 16 for found in paths]
     return np.array(walls, dtype=np.float64)
 
 
-def _alone(prepared: PreparedScene, receiver: ReceiverArray, polarization: Literal["V", "H"]) -> PreparedScene:
+def _alone(scene: Scene, receiver: ReceiverArray, polarization: Literal["V", "H"]) -> Scene:
     """The scene with one element in the place of a receiver, isotropic and of one polarisation."""
     element = replace(receiver, rows=1, cols=1, pattern="iso", polarization=polarization, antenna_orientation_deg=None)
-    return PreparedScene(replace(prepared.scene, receiver=element, other_receivers=()), prepared.geometry)
+    return replace(scene, receiver=element, other_receivers=())
 
 
 def _traced_db(
-    prepared: PreparedScene,
+    scene: Scene,
+    geometry: Geometry,
     position_m: Float[FloatArray, "n 3"],
     carrier_hz: Sequence[float],
     settings: TraceSettings,
@@ -227,12 +229,12 @@ def _traced_db(
 
     They are Σ|gain|² over paths, which is the mean over some wavelengths of the place, carriers and polarisations.
     """
-    receivers, depths = prepared.scene.receivers, range(1, settings.max_depth + 1)
+    receivers, depths = scene.receivers, range(1, settings.max_depth + 1)
     power = np.zeros((2, len(depths), len(position_m), len(receivers)))
     done, total = 0, 2 * power[0, 0].size
     for r, receiver in enumerate(receivers):
         for polarization in ("V", "H"):
-            tracer = tracer_of(_alone(prepared, receiver, polarization), carrier_hz, settings)
+            tracer = tracer_of(_alone(scene, receiver, polarization), carrier_hz, settings, geometry)
             for n, place_m in enumerate(position_m):
                 paths = tracer.paths(place_m)
                 length = (paths.interactions != NO_INTERACTION).sum(axis=1)

@@ -21,7 +21,6 @@ from xfreqbench.errors import DataError
 from xfreqbench.scene.meshes import meshes_sha256, surface_meshes
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.visibility import sees
 from xfreqbench.system.array_files import read_arrays
 from xfreqbench.system.files import atomic_path, require_own, sole_writer, storage_errors
@@ -94,7 +93,7 @@ def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None
         reference = _unfinished_reference(scene, path)
         if scene.scene is not None and np.isnan(reference.cfr).any():
             settings = replace(REFERENCE_SETTINGS, solver="image")
-            tracer = tracer_of(PreparedScene.of(scene), reference.carrier_hz.tolist(), settings)
+            tracer = tracer_of(scene, reference.carrier_hz.tolist(), settings)
             reference.cfr[:] = tracer.channel(reference.tx_position_m).cfr
             _write_reference(path, reference)
         missing = np.argwhere(np.isnan(reference.cfr[..., 0]))

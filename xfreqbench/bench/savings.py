@@ -23,7 +23,6 @@ from xfreqbench.scene.materials import Scattering, SceneMaterial
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, SolverName, TraceSettings
@@ -78,7 +77,7 @@ class Workload:
 
     def channel(self) -> ChannelArray:
         """Channels as `generate` computes them, with rays that are shot once for everything."""
-        tracer = tracer_of(PreparedScene.of(self.scene), self.carrier_hz, self.settings)
+        tracer = tracer_of(self.scene, self.carrier_hz, self.settings)
         return tracer.channel(self.tx_position_m).cfr
 
     def saving(self, name: str, timed: str, off: Callable[[], ChannelArray], on: Callable[[], ChannelArray]) -> Saving:
@@ -191,7 +190,7 @@ def all_at_once(work: Workload, name: str) -> Saving:
 
     The image method has a thread for each transmitter, so its ratio is mostly due to threads.
     """
-    tracer = tracer_of(PreparedScene.of(work.scene), work.carrier_hz, work.settings)
+    tracer = tracer_of(work.scene, work.carrier_hz, work.settings)
     return work.saving(
         name,
         "channels, rays shot beforehand",

@@ -28,8 +28,8 @@ from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.metrics import psnr, ssim
 from xfreqbench.runs.records import BenchFigure, BenchPoint
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.model import Scene, load_scene
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.machine import peak_memory_mib, reset_peak_memory
 from xfreqbench.tracing.solvers import resolve_solver, tracer_of
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, Interaction, SolverName, TraceSettings
@@ -148,8 +148,7 @@ def _measure(scene: Scene, settings: TraceSettings, reference: Reference, label:
     Times are the smallest of `REPEATS`. With diffraction by Sionna RT, whose rays are shot for each transmitter, it
     is one.
     """
-    prepared = PreparedScene.of(scene)
-    settings = resolve_solver(prepared.geometry, settings)
+    settings = resolve_solver(Geometry.of(scene), settings)
     is_dear = "diffraction" in settings.named_interactions and settings.solver == "sionna"
     num_warm, repeats = (1, 1) if is_dear else (len(reference.tx_position_m), REPEATS)
     _traced(scene, settings, reference, num_warm)
@@ -165,7 +164,7 @@ def _traced(
 ) -> tuple[float, float, Complex[NDArray[np.complex128], "T F M"]]:
     """Seconds for rays and for the channels of the first `num_tx` transmitters, and these channels."""
     start = time.perf_counter()
-    tracer = tracer_of(PreparedScene.of(scene), reference.carrier_hz.tolist(), settings)
+    tracer = tracer_of(scene, reference.carrier_hz.tolist(), settings)
     shot = time.perf_counter()
     channel = tracer.channel(reference.tx_position_m[:num_tx])
     return shot - start, time.perf_counter() - shot, channel.cfr

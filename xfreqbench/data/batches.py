@@ -7,6 +7,7 @@ import json
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from fnmatch import fnmatch
 from pathlib import Path
 
 from xfreqbench.data.plan import Plan
@@ -57,7 +58,17 @@ def claimed_batches(output: Path, plan: Plan) -> Iterator[BatchStore]:
     """
     folder = batch_folder(output)
     with sole_writer(output):
-        _require_ours(folder)
+        with storage_errors(folder):
+            if folder.is_symlink():
+                raise OutputExistsError(f"{folder} is a symbolic link, which is not followed. {_ADVICE}")
+            if folder.exists() and not folder.is_dir():
+                raise OutputExistsError(f"{folder} is in the way: batches are kept in a folder of that name. {_ADVICE}")
+            content = [path.name for path in folder.iterdir()] if folder.exists() else []
+            foreign = sorted(name for name in content if not fnmatch(name, f".{_MARKER}.*"))  # not yet a marker
+            if foreign and not (folder / _MARKER).is_file():
+                raise OutputExistsError(
+                    f"{folder} holds {foreign[0]!r} and no {_MARKER}: it is not a folder of batches. {_ADVICE}"
+                )
         advice = f"Run that one to its end, delete {folder}, or choose another output with -o."
         if not require_own(folder / _MARKER, lambda file: _fault_of_marker(file, plan), advice):
             write_text(folder / _MARKER, json.dumps(plan.job))
@@ -89,22 +100,6 @@ def _fault_of_marker(marker: Path, plan: Plan) -> str | None:
     if not isinstance(marked, dict):
         return "is damaged"
     return f"marks the batches of another unfinished run: {job_differences(plan.job, marked)}"
-
-
-def _require_ours(folder: Path) -> None:
-    """Raise `OutputExistsError` unless a folder is absent, empty or marked as one of batches, and is not a link."""
-    with storage_errors(folder):
-        if folder.is_symlink():
-            raise OutputExistsError(f"{folder} is a symbolic link, which is not followed. {_ADVICE}")
-        if not folder.exists():
-            return
-        if not folder.is_dir():
-            raise OutputExistsError(f"{folder} is in the way: batches are kept in a folder of that name. {_ADVICE}")
-        foreign = sorted(path.name for path in folder.iterdir() if not path.match(f".{_MARKER}.*"))  # not yet a marker
-        if foreign and not (folder / _MARKER).is_file():
-            raise OutputExistsError(
-                f"{folder} holds {foreign[0]!r} and no {_MARKER}: it is not a folder of batches. {_ADVICE}"
-            )
 
 
 def _remove(folder: Path) -> None:

@@ -117,11 +117,11 @@ def _write(plan: Plan, store: BatchStore, path: Path, report: ProgressCallback, 
         sampled = _sampled(plan, store.kept)
         for number, link in enumerate(links(open_dataset(written))):
             rows = sampled[number % len(sampled) :: plan.num_links]
-            require_origin(link, rows, folder=plan.scene.folder, workers=workers)
+            require_origin(link, rows, folder=plan.tracing.scene.folder, workers=workers)
 
     totals = None
     if plan.header.paths:
-        names = tuple(mesh.name for mesh in plan.geometry.meshes)
+        names = tuple(mesh.name for mesh in plan.tracing.geometry.meshes)
         parts = (store.read(index).paths for index in range(len(plan.batches)))
         totals = PathTotals.of((part for part in parts if part is not None), names)
     with PasWriter(path, plan.header, prove=prove, paths=totals) as writer:
@@ -148,7 +148,9 @@ def estimate_seconds(plan: Plan, probes: int = 4) -> float:
     """
     spread = np.linspace(0, len(plan.tx_position_m) - 1, probes).astype(int)
     times = []
-    few_rays = replace(plan.tracing, settings=replace(plan.settings, rays=1000))  # which meet all that is compiled
+    few_rays = replace(
+        plan.tracing, settings=replace(plan.tracing.settings, rays=1000)
+    )  # which meet all that is compiled
     for tracing, tx in ((few_rays, spread[:1]), (plan.tracing, spread[:1]), (plan.tracing, spread)):
         start = time.perf_counter()
         traced(tracing, (0, plan.tx_position_m[tx]))

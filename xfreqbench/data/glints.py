@@ -11,8 +11,6 @@ from jaxtyping import Float, Int
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.retrace import traced_scene
 from xfreqbench.errors import DataError
-from xfreqbench.scene.model import Scene
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION
 from xfreqbench.types import FloatArray, IntArray
@@ -55,19 +53,11 @@ def glints(dataset: PasDataset, number: int, seed: int = 0, folder: Path | None 
         raise DataError(f"{dataset.path} leaves out no mirror: its scene {why}.")
     positions_m = dataset.tables["tx_position_m"]
     rows = np.random.default_rng(seed).choice(len(positions_m), min(number, len(positions_m)), replace=False)
-    both, tx_m = (scene, replace(scene, mirrors="facets")), positions_m[np.sort(rows)]
-    found = [_paths(dataset, mirrored, tx_m) for mirrored in both]
-    counts, power = (np.array(values) for values in zip(*found, strict=True))
-    return Glints(dataset.header.carrier_hz, counts, power)
-
-
-def _paths(
-    dataset: PasDataset, scene: Scene, tx_position_m: Float[FloatArray, "n 3"]
-) -> tuple[Int[IntArray, "n"], Float[FloatArray, "n F"]]:
-    """Number of paths of each transmitter to the array centre, and their power at each carrier."""
     settings = replace(dataset.trace_settings, solver="sionna", interactions=WITHOUT_DIFFRACTION)
-    prepared = PreparedScene.of(scene)
-    tracer = tracer_of(prepared, dataset.header.carrier_hz.tolist(), settings)
-    paths = [tracer.paths(tx) for tx in tx_position_m]
-    counts = np.array([len(found.delay_s) for found in paths], dtype=np.int64)
-    return counts, np.array([(np.abs(found.gain) ** 2).sum(axis=1) for found in paths])
+    both, carrier_hz = (scene, replace(scene, mirrors="facets")), dataset.header.carrier_hz
+    tracers = [tracer_of(mirrored, carrier_hz, settings) for mirrored in both]
+    paths = [[tracer.paths(tx_m) for tx_m in positions_m[np.sort(rows)]] for tracer in tracers]
+    counts = np.array([[len(found.delay_s) for found in of_tx] for of_tx in paths], dtype=np.int64)
+    return Glints(
+        carrier_hz, counts, np.array([[(np.abs(found.gain) ** 2).sum(axis=1) for found in of_tx] for of_tx in paths])
+    )

@@ -298,7 +298,10 @@ def verify_sealed(path: Path, schema: str) -> None:
             return
         for name in _dataset_names(file):
             with read_errors(path, f"dataset {name!r}"):
-                if _digest_of(file[name], _blocks(_dataset(file, name))) != _text(file[name], "sha256"):
+                stored = _dataset(file, name)
+                step = max(1, _BLOCK_BYTES // max(1, prod(stored.shape[1:]) * stored.dtype.itemsize))
+                blocks = (stored[start : start + step] for start in range(0, stored.shape[0], step))
+                if _digest_of(stored, blocks) != _text(stored, "sha256"):
                     raise DataError(f"{path} is damaged: dataset {name!r} differs from its sha256.")
     raise DataError(f"{path} is damaged: its bytes differ from the sha256 at its end. Generate it again.")
 
@@ -370,13 +373,6 @@ def _digest_of(dataset: Any, blocks: Iterable[NDArray[Any]]) -> str:
     for block in blocks:
         digest.update(np.ascontiguousarray(block).data.cast("B") if block.size else b"")
     return digest.hexdigest()
-
-
-def _blocks(dataset: Any) -> Iterator[NDArray[Any]]:
-    row_bytes = max(1, prod(dataset.shape[1:]) * dataset.dtype.itemsize)
-    step = max(1, _BLOCK_BYTES // row_bytes)
-    for start in range(0, dataset.shape[0], step):
-        yield dataset[start : start + step]
 
 
 def _seal_of(file: Any) -> str:

@@ -160,11 +160,7 @@ class SamplePaths:
             surfaces=surfaces,
             vertices_m=vertices_m,
             surface_names=surface_names,
-            delay_s=paths.delay_s,
-            arrival_azimuth_rad=paths.arrival_azimuth_rad,
-            arrival_elevation_rad=paths.arrival_elevation_rad,
-            departure_azimuth_rad=paths.departure_azimuth_rad,
-            departure_elevation_rad=paths.departure_elevation_rad,
+            **{name: getattr(paths, name) for name in RAGGED if name.endswith(("delay_s", "_rad"))},
         )
 
 

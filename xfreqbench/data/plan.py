@@ -35,7 +35,6 @@ from xfreqbench.scene.placement import (
     place_transmitters,
 )
 from xfreqbench.scene.polygons import extents_m
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.rooms import check_closed
 from xfreqbench.scene.visibility import is_closed, sees
 from xfreqbench.system.files import json_sha256
@@ -65,29 +64,9 @@ class Plan:
     @cached_property
     def line_of_sight(self) -> Bool[NDArray[np.bool_], "T *R"]:
         """Whether each transmitter is in sight of the receiver, or of each of several."""
-        meshes, receivers = self.geometry.meshes, self.scene.receivers
+        meshes, receivers = self.tracing.geometry.meshes, self.tracing.scene.receivers
         in_sight = [sees(meshes, self.tx_position_m, np.asarray(receiver.position_m)) for receiver in receivers]
         return np.stack(in_sight, axis=1) if self.header.receivers else in_sight[0]
-
-    @property
-    def scene(self) -> Scene:
-        """The scene that is traced, its folder as an absolute path."""
-        return self.tracing.scene
-
-    @property
-    def geometry(self) -> Geometry:
-        """Meshes and facets of the scene."""
-        return self.tracing.prepared().geometry
-
-    @property
-    def settings(self) -> TraceSettings:
-        """The settings of the rays, with the solver that is used for the scene instead of `auto`."""
-        return self.tracing.settings
-
-    @property
-    def num_samples(self) -> int:
-        """Number of channels to compute: transmitters × links × carriers."""
-        return len(self.tx_position_m) * self.num_links * len(self.header.carrier_hz)
 
     @property
     def num_links(self) -> int:
@@ -97,7 +76,13 @@ class Plan:
     @property
     def summary(self) -> str:
         """Counts and size in a few lines, for a user to check before the work starts."""
-        header, settings = self.header, self.settings
+        header, scene, settings, geometry = (
+            self.header,
+            self.tracing.scene,
+            self.tracing.settings,
+            self.tracing.geometry,
+        )
+        num_samples = len(self.tx_position_m) * self.num_links * header.num_carriers
         rejected = sum(header.rejected.values())
         reasons = ", ".join(f"{count} {reason}" for reason, count in header.rejected.items() if count)
         in_sight = ", ".join(map(str, np.atleast_1d(self.line_of_sight.sum(axis=0)).tolist()))
@@ -107,19 +92,19 @@ class Plan:
             if names
         )
         lines = [
-            f"{self.scene.name}: {len(self.tx_position_m)} transmitters ({in_sight} in sight) {links}"
-            f"× {len(header.carrier_hz)} carriers = {self.num_samples} samples, {header.num_bytes / 1e6:.0f} MB"
+            f"{scene.name}: {len(self.tx_position_m)} transmitters ({in_sight} in sight) {links}"
+            f"× {len(header.carrier_hz)} carriers = {num_samples} samples, {header.num_bytes / 1e6:.0f} MB"
             f"{' and the paths' if header.paths else ''}",
             f"solver {settings.solver}, {' and '.join(settings.named_interactions)}, depth {settings.max_depth}, "
             f"{settings.rays:,} rays, seed {settings.seed}",
             f"{rejected} grid positions left out{': ' + reasons if reasons else ''}",
         ]
-        if self.scene.scene is not None:
+        if scene.scene is not None:
             lines.append(self._mesh_note())
         # Sionna RT drops all paths through both faces of closed meshes as thin as this
         thin = [
             mesh.name
-            for mesh in (self.geometry.meshes if settings.solver == "sionna" else ())
+            for mesh in (geometry.meshes if settings.solver == "sionna" else ())
             if PLANE_TOLERANCE < extents_m(mesh.vertices_m)[0] < MIN_SEPARATION_M
             and mesh.material != "metal"
             and is_closed(mesh)
@@ -129,7 +114,7 @@ class Plan:
                 f"thinner than {MIN_SEPARATION_M * 1e3:g} mm, so that in Sionna RT nothing passes both faces: "
                 f"{', '.join(thin)}; use a rectangle with a thickness_m, or solver image"
             )
-        if near := nearly_in_one_plane(self.geometry):
+        if near := nearly_in_one_plane(geometry):
             lines.append(f"{near}: a path passes both; if they are the same wall or object, leave one out")
         lines += self._material_notes()
         if not header.receiver.resolves_directions:
@@ -138,7 +123,7 @@ class Plan:
 
     def _mesh_note(self) -> str:
         """A line on the size of a scene with a mesh file, and on how much of it reflects."""
-        geometry = self.geometry
+        geometry = self.tracing.geometry
         x, y, z = (f"{extent:,.2f}" for extent in np.ptp(bounds_m(geometry.meshes), axis=0))
         sides_m = np.diff(triangle_corners_m(geometry.meshes), axis=1)
         area_m2 = np.linalg.norm(np.cross(sides_m[:, 0], sides_m[:, 1]), axis=1) / 2
@@ -153,14 +138,15 @@ class Plan:
 
     def _material_notes(self) -> list[str]:
         """Lines on materials that the scene defines itself, and on those that scatter."""
-        layers = [layer for slab in slabs_of(self.geometry.meshes) for layer in slab.layers]
+        geometry = self.tracing.geometry
+        layers = [layer for slab in slabs_of(geometry.meshes) for layer in slab.layers]
         own = {layer.material for layer in layers if isinstance(layer.material, ConstantMaterial)}
         constant = ", ".join(
             f"{material.name} (ε′ {material.relative_permittivity:g}, σ {material.conductivity_s_m:g} S/m)"
             for material in sorted(own, key=str)
         )
-        rough = ", ".join(f"{name} (S {how.coefficient:g}, {how.pattern})" for name, how in self.geometry.scattering)
-        is_traced = "diffuse" in self.settings.named_interactions
+        rough = ", ".join(f"{name} (S {how.coefficient:g}, {how.pattern})" for name, how in geometry.scattering)
+        is_traced = "diffuse" in self.tracing.settings.named_interactions
         untraced = "" if is_traced else ", but the interaction diffuse is not traced"
         notes = {"the same at every carrier": constant, "scattering": rough and rough + untraced}
         return [f"{what}: {names}" for what, names in notes.items() if names]
@@ -184,7 +170,7 @@ class Plan:
         return [slice(start, min(start + step, count)) for start in range(0, count, step)]
 
 
-def plan_generation(scene: str | Path | Scene | PreparedScene, options: GenerateOptions) -> Plan:
+def plan_generation(scene: str | Path | Scene, options: GenerateOptions) -> Plan:
     """Check the options for a scene's data set and look up all that it needs; no ray is shot.
 
     The transmitters are those of `tx_positions`, or otherwise the scene's usable grid positions; the seed chooses `tx`
@@ -197,9 +183,8 @@ def plan_generation(scene: str | Path | Scene | PreparedScene, options: Generate
     carriers = sorted(map(ghz_to_hz, options.freqs_ghz))
     if len(set(carriers)) < len(carriers):
         raise XFreqBenchError(f"Each carrier can be given once, but {format_ghz_list(carriers)} names one twice.")
-    prepared = PreparedScene.of(scene)
-    pairs = _pairs(options.polarization)
-    scene, geometry = _with_receivers(prepared.scene, options.receiver), prepared.geometry
+    geometry, pairs = Geometry.of(scene), _pairs(options.polarization)
+    scene = _with_receivers(scene, options.receiver)
     scene = scene.with_polarization(pairs[0]) if pairs else scene
     rays = settings.rays if settings.solver == "sionna" else 0
     require_memory(
@@ -229,8 +214,33 @@ def plan_generation(scene: str | Path | Scene | PreparedScene, options: Generate
     sha256 = meshes_sha256(geometry.meshes)
     absolute = replace(scene, folder=scene.folder.absolute())  # for workers that started in another folder
     several = pairs if len(pairs) > 1 else ()
+    names = tuple(receiver.name or "" for receiver in scene.receivers)
+    rough = [{"material": name, **how.stated} for name, how in geometry.scattering]
+    header = DatasetHeader(
+        scene_name=scene.name,
+        scene_json=scene.canonical_json,
+        scene_sha256=sha256,
+        receiver=scene.receiver,
+        carrier_hz=np.array(carriers),
+        num_tx=len(placed.tx_position_m),
+        pas_kind=pas_kind_named(options.pas_kind),
+        maps=options.maps is not False,
+        settings={
+            **TypeAdapter(TraceSettings).dump_python(settings, mode="json"),
+            "extrapolated_materials": extrapolated,
+            **({"scattering": rough} if rough else {}),
+            **scene.mirror_settings,
+            **scene.antenna_settings,
+        },
+        software=software_versions(settings.solver),
+        rejected=placed.rejected,
+        paths=paths,
+        physics=PHYSICS_VERSION,
+        receivers=names if scene.other_receivers else (),
+        polarizations=several,
+        references=f"Recommendation ITU-R {P2040_EDITION}, Table 3 (materials)",
+    )
     tracing = Tracing(absolute, sha256, tuple(carriers), settings, paths, several, geometry)
-    header = _header(tracing, placed, options.pas_kind, options.maps is not False, extrapolated)
     return Plan(tracing, placed.tx_position_m, header)
 
 
@@ -260,37 +270,3 @@ def _pairs(polarizations: Sequence[str] | None) -> tuple[PolarizationPair, ...]:
         if name not in POLARIZATION_PAIRS:
             raise UnknownNameError("pair of polarizations", name, POLARIZATION_PAIRS)
     return cast("tuple[PolarizationPair, ...]", names)
-
-
-def _header(
-    tracing: Tracing, placed: Placement, pas_kind: str, maps: bool, extrapolated_materials: list[str]
-) -> DatasetHeader:
-    """The header of the file."""
-    settings = TypeAdapter(TraceSettings).dump_python(tracing.settings, mode="json")
-    rough = [{"material": name, **how.stated} for name, how in tracing.prepared().geometry.scattering]
-    return DatasetHeader(
-        scene_name=tracing.scene.name,
-        scene_json=tracing.scene.canonical_json,
-        scene_sha256=tracing.scene_sha256,
-        receiver=tracing.scene.receiver,
-        carrier_hz=np.array(tracing.carrier_hz),
-        num_tx=len(placed.tx_position_m),
-        pas_kind=pas_kind_named(pas_kind),
-        maps=maps,
-        settings={
-            **settings,
-            "extrapolated_materials": extrapolated_materials,
-            **({"scattering": rough} if rough else {}),
-            **tracing.scene.mirror_settings,
-            **tracing.scene.antenna_settings,
-        },
-        software=software_versions(tracing.settings.solver),
-        rejected=placed.rejected,
-        paths=tracing.paths,
-        physics=PHYSICS_VERSION,
-        receivers=tuple(receiver.name or "" for receiver in tracing.scene.receivers)
-        if tracing.scene.other_receivers
-        else (),
-        polarizations=tracing.polarizations,
-        references=f"Recommendation ITU-R {P2040_EDITION}, Table 3 (materials)",
-    )

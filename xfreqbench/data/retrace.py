@@ -53,7 +53,16 @@ def require_origin(
     differs by more than `TOLERANCE` or the file does not say how it was traced, and `SceneError` if the scene's meshes
     are missing.
     """
-    samples = _retraced(dataset, rows, folder, workers)
+    header, num_carriers = dataset.header, dataset.header.num_carriers
+    scene, carriers_hz = traced_scene(dataset, folder), tuple(header.carrier_hz.tolist())
+    tracing = Tracing(scene, header.scene_sha256, carriers_hz, dataset.trace_settings, header.paths)
+    rows_of = {tx: rows[rows // num_carriers == tx] for tx in np.unique(rows // num_carriers).tolist()}
+    batches = ((tx, dataset.tables["tx_position_m"][tx : tx + 1]) for tx in rows_of)
+    samples = [
+        sample
+        for (tx, _), channel in side_by_side(workers, partial(traced, tracing), batches)
+        for sample in _compared(dataset, rows_of[tx], channel.result())
+    ]
     worst = max(samples, key=lambda sample: (np.isnan(sample.difference), sample.difference))
     if not worst.difference <= TOLERANCE:
         raise DataError(
@@ -83,19 +92,6 @@ def traced_scene(dataset: PasDataset, folder: Path | None = None) -> Scene:
         f"The surfaces of scene {scene.name!r} are not those that the data were traced with"
         + (f": {scene.scene} is missing or was changed. Put it next to the data." if scene.scene else ".")
     )
-
-
-def _retraced(
-    dataset: PasDataset, rows: Int[IntArray, "n"], folder: Path | None, workers: Workers
-) -> Iterator[Retraced]:
-    header, num_carriers = dataset.header, dataset.header.num_carriers
-    carriers_hz = tuple(header.carrier_hz.tolist())
-    scene = traced_scene(dataset, folder)
-    tracing = Tracing(scene, header.scene_sha256, carriers_hz, dataset.trace_settings, header.paths)
-    rows_of = {tx: rows[rows // num_carriers == tx] for tx in np.unique(rows // num_carriers).tolist()}
-    batches = ((tx, dataset.tables["tx_position_m"][tx : tx + 1]) for tx in rows_of)
-    for (tx, _), channel in side_by_side(workers, partial(traced, tracing), batches):
-        yield from _compared(dataset, rows_of[tx], channel.result())
 
 
 def _compared(dataset: PasDataset, rows: Int[IntArray, "n"], again: Channel) -> Iterator[Retraced]:

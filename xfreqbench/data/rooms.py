@@ -91,7 +91,7 @@ def plan_rooms(family: str | Path | Family, options: GenerateOptions) -> RoomsPl
     known = family if isinstance(family, Family) else load_family(family)
     plan = RoomsPlan(known, options)
     _, first = _planned(plan, options.seed)
-    solved = first.settings
+    solved = first.tracing.settings
     return RoomsPlan(known, replace(options, solver=solved.solver, interactions=solved.interactions))
 
 
@@ -204,5 +204,5 @@ def _describe(plan: RoomsPlan, folder: Path, rooms: Sequence[Room]) -> Collectio
         family=plan.family.recipe,
         options=plan.common,
         carrier_hz=plan.carrier_hz,
-        held_out_types=plan.family.held_out_types,
+        held_out_types=[kind.name for kind in plan.family.type if kind.held_out],
     )

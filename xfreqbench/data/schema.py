@@ -168,11 +168,6 @@ class DatasetHeader:
 
 def variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable]:
     """Every variable of a data set with this header and maps on this grid, in the order of the file."""
-    return [*_geometry_variables(header, grid), *_sample_variables(header, grid)]
-
-
-def _geometry_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable]:
-    """Axes with their coordinates, transmitters and receiver."""
     T, F, M = header.num_tx, len(header.carrier_hz), header.receiver.num_elements
     E, A = grid.shape
     rx = {axis: count for axis, count in header.link_axes.items() if axis == RECEIVER}
@@ -181,6 +176,15 @@ def _geometry_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variab
     named = {RECEIVER: (header.receivers, "receiver"), POLARIZATION: (header.polarizations, sent_and_heard)}
     element_position = "element position about the array centre, in wavelengths, in the receiver's frame"
     frame_axes, frame_shape = (*rx, AXIS, RECEIVER_AXIS), (*rx.values(), 3, 3)
+    links, counts = tuple(header.link_axes), tuple(header.link_axes.values())
+    sample, channel, angles = (TX, *links, CARRIER), (TX, *links, CARRIER, ELEMENT), (ELEVATION, AZIMUTH)
+    response, peak = "channel frequency response, exp(+j2πft)", "peak of the map before it was divided out"
+    in_sight, traced = _words("blocked", "visible"), _words("missing", "traced")
+    where = ("tx_position_m", "line_of_sight")
+    cfr = Variable("cfr", "<c8", (T, *counts, F, M), channel, "1", response, coordinates=where)
+    num_paths, direct = "paths that reach at least one element", "1 where nothing blocks the direct path"
+    pas, chunk = f"power angular spectrum ({header.pas_kind}), peak 1", (1, *(1 for _ in links), 1, E, A)
+    pas_shape, of_map = (T, *counts, F, E, A), (*sample, *angles)
     return [
         Variable(TX, "<i4", (T,), (TX,), "1", "transmitter index"),
         Variable(CARRIER, "<f8", (F,), (CARRIER,), "Hz", "carrier frequency"),
@@ -197,26 +201,9 @@ def _geometry_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variab
             Variable(axis, "<i4", (count,), (axis,), "1", named[axis][1], flags=_words(*named[axis][0]))
             for axis, count in header.link_axes.items()
         ),
-    ]
-
-
-def _sample_variables(header: DatasetHeader, grid: AngularGrid) -> list[Variable]:
-    """Channels, maps, and the variables of each transmitter or sample (transmitter, carrier)."""
-    T, F, M = header.num_tx, len(header.carrier_hz), header.receiver.num_elements
-    links, counts = tuple(header.link_axes), tuple(header.link_axes.values())
-    sample, channel, angles = (TX, *links, CARRIER), (TX, *links, CARRIER, ELEMENT), (ELEVATION, AZIMUTH)
-    of_receiver = 1 if header.receivers else 0
-    response, peak = "channel frequency response, exp(+j2πft)", "peak of the map before it was divided out"
-    in_sight, traced = _words("blocked", "visible"), _words("missing", "traced")
-    where = ("tx_position_m", "line_of_sight")
-    cfr = Variable("cfr", "<c8", (T, *counts, F, M), channel, "1", response, coordinates=where)
-    num_paths, direct = "paths that reach at least one element", "1 where nothing blocks the direct path"
-    pas, chunk = f"power angular spectrum ({header.pas_kind}), peak 1", (1, *(1 for _ in links), 1, *grid.shape)
-    pas_shape, of_map, seen = (T, *counts, F, *grid.shape), (*sample, *angles), (TX, *links[:of_receiver])
-    return [
         *([cfr] if header.channels else []),
         Variable("peak_power", "<f8", (T, *counts, F), sample, "1", peak, coordinates=where),
-        Variable("line_of_sight", "u1", (T, *counts[:of_receiver]), seen, "1", direct, flags=in_sight),
+        Variable("line_of_sight", "u1", (T, *rx.values()), (TX, *rx), "1", direct, flags=in_sight),
         Variable("num_paths", "<i4", (T, *counts, F), sample, "1", num_paths, coordinates=where),
         Variable("complete", "u1", (T,), (TX,), "1", "1 where the transmitter has been traced", flags=traced),
         *([Variable("pas", PACKED, pas_shape, of_map, "1", pas, chunk, coordinates=where)] if header.maps else []),

@@ -447,7 +447,14 @@ def _unseen_masks(dataset: PasDataset, split: Split, name: str, is_offered: Mask
     of_held_out = np.isin(place_index(dataset), place_index(train))
     is_left = is_offered
     if split.protocol in ("lofo", "sparse", "lofo-unseen-tx"):
-        held_out_hz = _validation_carrier_hz(train, name, dataset.carrier_hz[split.test[0]])
+        inner_hz, tested_hz = inner_carriers_hz(train), dataset.carrier_hz[split.test[0]]
+        if not len(inner_hz):
+            present = format_ghz_list(np.unique(train.carrier_hz))
+            raise ProtocolError(
+                f"Split {name!r} holds out a carrier inside the band of the training carriers, so it needs "
+                f"{LEAST_TRAINING_CARRIERS} of them or more, but they are {present}. Generate more carriers."
+            )
+        held_out_hz = float(inner_hz[np.argmin(np.abs(np.log(inner_hz / tested_hz)))])  # the nearest by its ratio
         at_held_out = dataset.carrier_hz == held_out_hz
         is_left = is_left & ~_is_alike(dataset.carrier_hz, held_out_hz)
     if split.protocol in ("held-out-tx", "lofo-unseen-tx"):
@@ -464,15 +471,3 @@ def _require_training_tx(train: PasDataset, name: str) -> None:
             f"Split {name!r} holds out some of its training transmitters, so that there must be {LEAST_TRAINING_TX} or "
             f"more, but there are {number}. Generate more."
         )
-
-
-def _validation_carrier_hz(train: PasDataset, name: str, tested_hz: float) -> float:
-    """The inner carrier of a training that is nearest to the tested one, by their ratio."""
-    inner_hz = inner_carriers_hz(train)
-    if not len(inner_hz):
-        raise ProtocolError(
-            f"Split {name!r} holds out a carrier inside the band of the training carriers, so it needs "
-            f"{LEAST_TRAINING_CARRIERS} of them or more, but they are {format_ghz_list(np.unique(train.carrier_hz))}. "
-            "Generate more carriers."
-        )
-    return float(inner_hz[np.argmin(np.abs(np.log(inner_hz / tested_hz)))])

@@ -23,7 +23,7 @@ from pydantic import InstanceOf, PositiveInt
 from xfreqbench.data.dataset import PasDataset, stored_paths
 from xfreqbench.data.retrace import traced_scene
 from xfreqbench.errors import DataError, SceneError
-from xfreqbench.scene.prepared import PreparedScene
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.system.arguments import checked
 from xfreqbench.tracing.absorption import mean_absorption
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, REFRACTION, RaggedPaths
@@ -172,15 +172,11 @@ def _power_cells(row: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _spread_cells(row: dict[str, Any]) -> tuple[str, ...]:
-    delays = ("", "_38901", "_mmmagic", "_small_room", "_room_decay")
-    angles = {
-        name: _beside(
-            [row[f"{name}_spread{of}_deg"] for of in ("", "_38901", "_mmmagic")], row[f"{name}_spread_sd_deg"]
-        )
-        for name in ("arrival_azimuth", "departure_azimuth", "arrival_zenith", "departure_zenith")
-    }
-    delay = _beside([row[f"delay_spread{name}_ns"] for name in delays], row["delay_spread_sd_ns"])
-    return format_ghz(row["carrier_ghz"] * 1e9), f"{row['num_paths']:.0f}", delay, *angles.values()
+    kinds, cells = ("", "_38901", "_mmmagic", "_small_room", "_room_decay"), list[str]()
+    for name in ("delay", "arrival_azimuth", "departure_azimuth", "arrival_zenith", "departure_zenith"):
+        unit, of = ("ns", kinds) if name == "delay" else ("deg", kinds[:3])
+        cells.append(_beside([row[f"{name}_spread{kind}_{unit}"] for kind in of], row[f"{name}_spread_sd_{unit}"]))
+    return format_ghz(row["carrier_ghz"] * 1e9), f"{row['num_paths']:.0f}", *cells
 
 
 def _beside(values: list[float], scatter: float) -> str:
@@ -213,17 +209,18 @@ def statistics(dataset: InstanceOf[PasDataset], num_tx: PositiveInt = 200, seed:
     is_asked = np.zeros((header.num_tx, dataset.header.num_carriers), bool)
     is_asked.flat[dataset.rows] = True
     tx, carriers = np.flatnonzero(is_asked.any(axis=1)), np.flatnonzero(is_asked.any(axis=0))
-    prepared = None
+    scene = geometry = None
     with suppress(DataError, SceneError) if header.paths else nullcontext():
-        prepared = PreparedScene.of(traced_scene(dataset))
+        scene = traced_scene(dataset)
+        geometry = Geometry.of(scene)
     receiver_m = np.asarray(header.receiver.position_m, dtype=np.float64)
     if header.paths:
         paths, traced = stored_paths(dataset)[0], np.arange(header.num_tx)
         source = f"the stored paths of {len(tx)} transmitters"
     else:
         traced = tx = np.sort(np.random.default_rng(seed).choice(tx, min(num_tx, len(tx)), replace=False))
-        assert prepared
-        tracer = tracer_of(prepared, header.carrier_hz, dataset.trace_settings)
+        assert scene
+        tracer = tracer_of(scene, header.carrier_hz, dataset.trace_settings, geometry)
         positions_m = dataset.tables["tx_position_m"][tx]
         paths = RaggedPaths.of([tracer.paths(position_m) for position_m in positions_m], positions_m, receiver_m)
         source = f"the paths of {len(tx)} transmitters, traced again"
@@ -237,12 +234,12 @@ def statistics(dataset: InstanceOf[PasDataset], num_tx: PositiveInt = 200, seed:
     distance_m = np.linalg.norm(dataset.tables["tx_position_m"][tx] - receiver_m, axis=1)
     in_sight = dataset.tables["line_of_sight"][tx].astype(bool)
     links = LinkStatistics(tx, carrier_hz, distance_m, in_sight, **values)
-    if prepared is None or not prepared.geometry.meshes:
+    if geometry is None or not geometry.meshes:
         return ChannelStatistics(links, np.nan, np.nan, np.full(len(carrier_hz), np.nan), source)
-    corners_m = np.concatenate([mesh.vertices_m for mesh in prepared.geometry.meshes])
+    corners_m = np.concatenate([mesh.vertices_m for mesh in geometry.meshes])
     x, y, z = np.ptp(corners_m, axis=0).tolist()
     policy = dataset.trace_settings.materials
-    absorption = np.array([mean_absorption(prepared.geometry, carrier, policy) for carrier in carrier_hz.tolist()])
+    absorption = np.array([mean_absorption(geometry, carrier, policy) for carrier in carrier_hz.tolist()])
     return ChannelStatistics(links, x * y * z, 2 * (x * y + y * z + z * x), absorption, source)
 
 

@@ -15,7 +15,6 @@ from xfreqbench.errors import ClusterError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import meshes_sha256
 from xfreqbench.scene.model import PolarizationPair, Scene
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.cluster import differences
 from xfreqbench.tracing.paths import Paths, RaggedPaths
 from xfreqbench.tracing.solvers import tracer_of
@@ -45,17 +44,18 @@ class Tracing:
         fields = self.scene, self.scene_sha256, self.carrier_hz, self.settings, self.paths, self.polarizations
         return Tracing, fields
 
-    def prepared(self) -> PreparedScene:
-        """The scene with its geometry; raises `ClusterError` if a worker finds other meshes than planned."""
+    @property
+    def geometry(self) -> Geometry:
+        """The scene's geometry; raises `ClusterError` if a worker finds other meshes than planned."""
         if self.known_geometry is not None:
-            return PreparedScene(self.scene, self.known_geometry)
-        prepared = PreparedScene.of(self.scene)
-        if meshes_sha256(prepared.geometry.meshes) != self.scene_sha256:
+            return self.known_geometry
+        geometry = Geometry.of(self.scene)
+        if meshes_sha256(geometry.meshes) != self.scene_sha256:
             raise ClusterError(
                 f"A worker on {platform.node()} finds other meshes of scene {self.scene.name!r} in "
                 f"{self.scene.folder}. Keep them on a file system that all workers share."
             )
-        return prepared
+        return geometry
 
 
 def traced(
@@ -103,11 +103,10 @@ _software = cache(software_versions)
 @lru_cache(maxsize=1)
 def _tracers(tracing: Tracing) -> list[list[Tracer]]:
     """A tracer for each pair of polarizations of every receiver: those of one receiver share what rays have found."""
-    prepared = tracing.prepared()
-    tracers = []
-    for receiver in prepared.scene.receivers:
-        scene = replace(prepared.scene, receiver=receiver, other_receivers=())
+    geometry, tracers = tracing.geometry, []
+    for receiver in tracing.scene.receivers:
+        scene = replace(tracing.scene, receiver=receiver, other_receivers=())
         first, *others = [scene.with_polarization(pair) for pair in tracing.polarizations] or [scene]
-        tracer = tracer_of(PreparedScene(first, prepared.geometry), tracing.carrier_hz, tracing.settings)
+        tracer = tracer_of(first, tracing.carrier_hz, tracing.settings, geometry)
         tracers.append([tracer, *map(tracer.with_antennas, others)])
     return tracers

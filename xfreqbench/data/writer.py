@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
@@ -58,7 +59,7 @@ class SampleBlock:
         return cls(maps, power, np.where(is_heard, UNKNOWN_NUM_PATHS, 0))
 
 
-class PasWriter:
+class PasWriter(ExitStack):
     """Writes one data set: a context manager that takes samples in blocks and leaves a complete file, or none.
 
     Maps are on `grid`, by default the hemisphere, and are stored if the header says so. If the header says that paths
@@ -76,6 +77,7 @@ class PasWriter:
         prove: Callable[[Path], None] | None = None,
         paths: PathTotals | None = None,
     ) -> None:
+        super().__init__()
         self._header = header
         self._grid = grid or AngularGrid.hemisphere()
         self._num_paths = self._num_points = 0
@@ -88,18 +90,13 @@ class PasWriter:
         self._context = create_sealed(path, stored, attributes, groups, prove)
 
     def __enter__(self) -> PasWriter:
-        self._file = self._context.__enter__()
+        self._file = self.enter_context(self._context)
         for name, values in constants(self._header, self._grid).items():
             self._file.append(name, values)
         if self._header.paths:
             for offset in (OFFSET, INTERACTION_OFFSET):
                 self._file.append(offset, np.zeros(1))
         return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool | None:
-        return self._context.__exit__(kind, error, trace)
 
     def append(
         self,
@@ -112,22 +109,15 @@ class PasWriter:
 
         Their `paths` are needed if the header says that paths are stored.
         """
-        if samples.cfr is None:  # the order is that of the file: equal data have had equal bytes since 0.1
-            self._file.append("pas", samples.maps)
-            self._file.append("peak_power", samples.peak_power)
-        else:
-            self._file.append("cfr", samples.cfr)
-            self._file.append("peak_power", samples.peak_power)
-            if self._header.maps:
-                self._file.append("pas", samples.maps)
-        self._file.append("tx_position_m", tx_position_m)
-        self._file.append("line_of_sight", line_of_sight)
-        self._file.append("num_paths", samples.num_paths)
-        self._file.append("complete", np.ones(len(tx_position_m)))
-        if self._header.paths and paths is not None:
-            self._append_paths(paths)
-
-    def _append_paths(self, paths: RaggedPaths) -> None:
+        stored: dict[str, NDArray[Any]] = {"pas": samples.maps} if samples.cfr is None else {"cfr": samples.cfr}
+        stored["peak_power"] = samples.peak_power
+        if self._header.maps:  # the order is that of the file: equal data have had equal bytes since 0.1
+            stored["pas"] = samples.maps
+        stored |= {"tx_position_m": tx_position_m, "line_of_sight": line_of_sight, "num_paths": samples.num_paths}
+        for name, rows in (stored | {"complete": np.ones(len(tx_position_m))}).items():
+            self._file.append(name, rows)
+        if not self._header.paths or paths is None:
+            return
         num_paths, num_points = len(paths.delay_s), len(paths.interaction)
         self._file.append(OFFSET, self._num_paths + np.cumsum(paths.num_paths))
         self._file.append(INTERACTION_OFFSET, self._num_points + np.cumsum(paths.num_interactions))

@@ -109,6 +109,17 @@ class Convention:
         return peak_power if self.values == "power" else np.sqrt(peak_power)
 
 
+_WIDEBAND3DGS = Convention(
+    rows="polar",
+    first_row_deg=0,
+    last_row_deg=90,
+    first_column_deg=-180,
+    last_column_deg=180,
+    values="amplitude",
+    plane="yz",
+    read_in="measured on the published example of Wideband3DGS (tests/exchange/test_against_wideband3dgs.py); "
+    "its receiver is not turned, so that the quaternion's order is that of its relatives",
+)
 _NERF2 = Convention(
     rows="elevation",
     first_row_deg=1,
@@ -122,26 +133,11 @@ _NERF2 = Convention(
     "that grow with distance, as RFID readers report them. Its dataloader.py takes the azimuths to be 1 to 360",
 )
 CONVENTIONS = {
-    "wideband3dgs": Convention(
-        rows="polar",
-        first_row_deg=0,
-        last_row_deg=90,
-        first_column_deg=-180,
-        last_column_deg=180,
-        values="amplitude",
-        plane="yz",
-        read_in="measured on the published example of Wideband3DGS (tests/exchange/test_against_wideband3dgs.py); "
-        "its receiver is not turned, so that the quaternion's order is that of its relatives",
-    ),
-    "xfreq-gs": Convention(
-        rows="polar",
-        first_row_deg=0,
-        last_row_deg=90,
-        first_column_deg=-180,
-        last_column_deg=180,
+    "wideband3dgs": _WIDEBAND3DGS,
+    "xfreq-gs": replace(
+        _WIDEBAND3DGS,
         values="phase-only-amplitude",
         peak="opposite",
-        plane="yz",
         index="zero-based",
         read_in="KINGAZ1019/XFreq-GS, dataset/scene_builder: utils.py subtracts the channel's phase, exp(+jkr·d), from "
         "-kr·d, so that a lone wave peaks opposite to its source",

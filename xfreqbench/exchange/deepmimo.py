@@ -56,10 +56,21 @@ def export_deepmimo(path: Path, folder: Path, progress: ProgressCallback = ignor
                 np.savez_compressed(scenario / f"{key}_t000_tx000_r001.npz", **{key: table})
             scene = _write_scene(scenario, meshes)
             num_heard = int((~np.isnan(tables["power"])).any(axis=1).sum())
+            shared = {
+                "num_ant": 1,
+                "dual_pol": False,
+                "ant_rel_positions": [[0, 0, 0]],
+                "array_orientation": [0, 0, 0],
+                "grid_spacing": None,
+            }
+            station = {"name": "array", "id": 0, "id_orig": 0, "is_tx": True, "is_rx": False}
+            station |= {"num_points": 1, "num_active_points": 1}
+            users = {"name": "transmitters", "id": 1, "id_orig": 1, "is_tx": False, "is_rx": True}
+            users |= {"num_points": dataset.header.num_tx, "num_active_points": num_heard}
             parameters = {
                 "version": "4.0.5",  # of the package whose files these are
                 "rt_params": _tracing(dataset, carrier_hz),
-                "txrx_sets": _sets(dataset.header.num_tx, num_heard),
+                "txrx_sets": {"txrx_set_0": station | shared, "txrx_set_1": users | shared},
                 "materials": _materials(slabs_of(meshes), carrier_hz, dataset.trace_settings.materials),
                 "scene": scene,
             }
@@ -117,23 +128,6 @@ def _tracing(dataset: PasDataset, carrier_hz: float) -> dict[str, Any]:
         "synthetic_array": True,
         "gps_bbox": [0, 0, 0, 0],
         "raw_params": {"dataset_sha256": dataset.sha256},
-    }
-
-
-def _sets(num_users: int, num_heard: int) -> dict[str, dict[str, Any]]:
-    """One base station, the array's centre, and the users."""
-    shared = {
-        "num_ant": 1,
-        "dual_pol": False,
-        "ant_rel_positions": [[0, 0, 0]],
-        "array_orientation": [0, 0, 0],
-        "grid_spacing": None,
-    }
-    station = {"name": "array", "id": 0, "id_orig": 0, "is_tx": True, "is_rx": False}
-    users = {"name": "transmitters", "id": 1, "id_orig": 1, "is_tx": False, "is_rx": True}
-    return {
-        "txrx_set_0": {**station, "num_points": 1, "num_active_points": 1, **shared},
-        "txrx_set_1": {**users, "num_points": num_users, "num_active_points": num_heard, **shared},
     }
 
 

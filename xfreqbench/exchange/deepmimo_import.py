@@ -93,11 +93,21 @@ def import_deepmimo(
     and of all. Raises `DataError` that names the file, `UnknownNameError` for a pair that is not there,
     `OutputExistsError` and `StorageError`.
     """
-    scenarios = sorted(
-        (_read(subfolder, pair, elevations) for subfolder in _folders(folder)), key=lambda scenario: scenario.carrier_hz
-    )
-    _require_alike(folder, scenarios)
-    first = scenarios[0]
+    is_one = (folder / "params.json").exists()
+    folders = [folder] if is_one else sorted(path.parent for path in folder.glob("*/params.json"))
+    if not folders:
+        raise DataError(f"{folder} is not a scenario of DeepMIMO v4, and contains none: params.json is missing.")
+    read = (_read(subfolder, pair, elevations) for subfolder in folders)
+    first, *others = scenarios = sorted(read, key=lambda scenario: scenario.carrier_hz)
+    if len({scenario.carrier_hz for scenario in scenarios}) < len(scenarios):
+        raise DataError(f"{folder} holds two scenarios at the same carrier; import them one by one.")
+    for other in others:
+        same = np.array_equal(other.station_m, first.station_m) and np.array_equal(other.user_m, first.user_m)
+        if not same:
+            raise DataError(
+                f"{folder}: station or users at {format_ghz(other.carrier_hz)} are not those at "
+                f"{format_ghz(first.carrier_hz)}; import the scenarios one by one."
+            )
     is_heard = np.any([scenario.is_path.any(axis=1) for scenario in scenarios], axis=0)
     users = np.flatnonzero(is_heard)
     if not len(users):
@@ -119,16 +129,6 @@ def import_deepmimo(
             done += len(part)
             progress(done, len(users))
     return True
-
-
-def _folders(folder: Path) -> list[Path]:
-    """The scenarios in a folder, or the folder itself where it is one."""
-    if (folder / "params.json").exists():
-        return [folder]
-    found = sorted(path.parent for path in folder.glob("*/params.json"))
-    if not found:
-        raise DataError(f"{folder} is not a scenario of DeepMIMO v4, and contains none: params.json is missing.")
-    return found
 
 
 def _read(folder: Path, pair: str | None, elevations: Elevations) -> Scenario:
@@ -288,20 +288,6 @@ def _digits(numbers: Float[FloatArray, "P"]) -> IntArray:
     """
     whole = np.clip(numbers, 0, 10.0**15).astype(np.int64)
     return whole[:, None] // 10 ** np.arange(15, -1, -1, dtype=np.int64) % 10
-
-
-def _require_alike(folder: Path, scenarios: Sequence[Scenario]) -> None:
-    carriers = [scenario.carrier_hz for scenario in scenarios]
-    if len(set(carriers)) < len(carriers):
-        raise DataError(f"{folder} holds two scenarios at the same carrier; import them one by one.")
-    first = scenarios[0]
-    for scenario in scenarios[1:]:
-        same = np.array_equal(scenario.station_m, first.station_m) and np.array_equal(scenario.user_m, first.user_m)
-        if not same:
-            raise DataError(
-                f"{folder}: station or users at {format_ghz(scenario.carrier_hz)} are not those at "
-                f"{format_ghz(first.carrier_hz)}; import the scenarios one by one."
-            )
 
 
 def _header(folder: Path, scenarios: Sequence[Scenario], users: IntArray, elevations: Elevations) -> DatasetHeader:

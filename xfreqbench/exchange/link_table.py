@@ -45,7 +45,9 @@ def export_link_table(
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     with atomic_path(output) as temporary, storage_errors(output):
         if output.suffix == ".parquet":
-            _write_parquet(temporary, columns)
+            import pyarrow.parquet
+
+            pyarrow.parquet.write_table(pyarrow.table(columns), temporary)
         else:
             write_columns(temporary, {name: _cells(column) for name, column in columns.items()})
     return dataset
@@ -95,10 +97,3 @@ def _cells(values: NDArray[Any]) -> list[Any]:
     if values.dtype.kind != "f":
         return (values.astype(int) if values.dtype.kind == "b" else values).tolist()
     return ["" if value != value else f"{value:.10g}" for value in values.tolist()]
-
-
-def _write_parquet(path: Path, columns: dict[str, NDArray[Any]]) -> None:
-    import pyarrow
-    import pyarrow.parquet
-
-    pyarrow.parquet.write_table(pyarrow.table(columns), path)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Complex, Float, Shaped
+from jaxtyping import Complex, Float, Shaped
 
 from xfreqbench.data.dataset import PasDataset, open_dataset, stored_paths
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
@@ -40,11 +40,6 @@ class PaddedPaths:
         table = np.full(self.shape, padding, values.dtype)
         table[self._place] = values
         return table
-
-    @property
-    def is_path(self) -> Bool[NDArray[np.bool_], "T L"]:
-        """Where the tables hold a path."""
-        return self.of_paths(np.ones(len(self.gain), bool), False)
 
     def of_interactions(
         self, values: Shaped[NDArray[Any], "I *S"], padding: complex, backwards: bool = False
@@ -90,7 +85,7 @@ def export_sionna_npz(path: Path, folder: Path, progress: ProgressCallback = ign
             padded = PaddedPaths(paths, carrier)
             # where there is none, Sionna RT has -1 for a path's delay, and 0xFFFFFFFF for an object
             tables: dict[str, Any] = {
-                "valid": padded.is_path,
+                "valid": padded.of_paths(np.ones(len(padded.gain), bool), False),
                 "tau": padded.of_paths(paths.delay_s, -1.0),
                 "theta_t": padded.zenith_rad(paths.departure_elevation_rad, 0.0),
                 "phi_t": padded.of_paths(paths.departure_azimuth_rad, 0.0),

@@ -21,7 +21,7 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from xfreqbench.data.dataset import PasDataset, holds_same_job, open_dataset
 from xfreqbench.data.schema import DatasetHeader
@@ -101,7 +101,12 @@ def export_png_folder(
     require_empty(folder)
     dataset = open_dataset(path)
     _check_array(dataset, convention)
-    _check_transmitters(dataset)
+    position_m = dataset.tables["tx_position_m"]
+    if len(np.unique(position_m, axis=0)) < len(position_m):
+        raise DataError(
+            f"{dataset.path} has two transmitters at one position. The layout identifies transmitters only by their "
+            "positions, so it cannot distinguish these two."
+        )
     if not dataset.header.channels:
         _check_maps(dataset, convention)
     with atomic_folder(folder) as temporary:
@@ -129,22 +134,16 @@ def _levels(
         rows = np.arange(start, min(start + _BATCH, len(dataset)))
         part = dataset[rows]
         if part.header.channels:
-            maps = _evaluated(part, beam, convention)
+            is_phase_only = convention.values == "phase-only-amplitude"
+            maps, _ = beam.maps(part.cfr, "phase-only" if is_phase_only else convention.pas_kind)
+            maps = np.sqrt(maps) if is_phase_only else maps
+            if convention.darkest == "minimum":
+                darkest = maps.min(axis=(1, 2), keepdims=True)
+                maps = (maps - darkest) / np.where(darkest < 1, 1 - darkest, 1)
         else:  # as bright as they were published
             peak_power = part.tables["peak_power"].flat[part.rows]
             maps = part.pas() * convention.brightest(peak_power).clip(0, 1)[:, None, None]
         yield rows, convention.ascending(np.rint(maps * BRIGHTEST).astype(np.uint8))
-
-
-def _evaluated(dataset: PasDataset, beam: BartlettBeam, convention: Convention) -> Float[NDArray[np.float32], "N E A"]:
-    """Maps of the channels in [0, 1], as the convention draws them."""
-    is_phase_only = convention.values == "phase-only-amplitude"
-    maps, _ = beam.maps(dataset.cfr, "phase-only" if is_phase_only else convention.pas_kind)
-    maps = np.sqrt(maps) if is_phase_only else maps
-    if convention.darkest == "zero":
-        return maps
-    darkest = maps.min(axis=(1, 2), keepdims=True)
-    return (maps - darkest) / np.where(darkest < 1, 1 - darkest, 1)
 
 
 def _write_texts(folder: Path, dataset: PasDataset, convention: Convention) -> None:
@@ -181,15 +180,6 @@ def _check_array(dataset: PasDataset, convention: Convention) -> None:
             f"{receiver.spacing_wavelengths:g} wavelengths apart, that of the convention {convention.array_rows} × "
             f"{convention.array_cols} in plane {convention.plane}, {convention.spacing_wavelengths:g} apart, and no "
             f"file of the layout can say so. Give {' '.join(options)}, here and wherever the folder is read."
-        )
-
-
-def _check_transmitters(dataset: PasDataset) -> None:
-    position_m = dataset.tables["tx_position_m"]
-    if len(np.unique(position_m, axis=0)) < len(position_m):
-        raise DataError(
-            f"{dataset.path} has two transmitters at one position. The layout identifies transmitters only by their "
-            "positions, so it cannot distinguish these two."
         )
 
 

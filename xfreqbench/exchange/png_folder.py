@@ -144,9 +144,16 @@ def read_png_folder(folder: Path, convention: Convention, carrier_ghz: float | N
     paths = [map_path(folder, number) for number in range(1, len(position_m) + 1)]
     _check_numbers(folder / MAPS, paths)
     _check_index_files(folder, convention, len(paths))
-    grid = convention.grid(*_common_shape(paths))
+    shape = shape_of(paths[0])
+    for path in paths[1:]:
+        if (found := shape_of(path)) != shape:
+            raise DataError(f"{path} has {found} rows and columns, but {paths[0].name} {shape}; all must agree.")
     transmitters, carriers = list(dict.fromkeys(position_m)), sorted(set(sample_carrier_hz))
-    read = [path for path in (folder / POSITIONS, folder / CARRIERS, folder / RECEIVER) if path.exists()]
+    digest = hashlib.sha256()
+    for path in (folder / POSITIONS, folder / CARRIERS, folder / RECEIVER, *paths):
+        if path.exists():
+            with path.open("rb") as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
     return PngFolder(
         folder=folder,
         convention=convention,
@@ -154,8 +161,8 @@ def read_png_folder(folder: Path, convention: Convention, carrier_ghz: float | N
         carrier_hz=np.array(carriers),
         sample=_sample_table(folder, position_m, sample_carrier_hz, transmitters, carriers),
         receiver=_read_receiver(folder / RECEIVER, convention),
-        grid=grid,
-        sha256=_content_sha256([*read, *paths]),
+        grid=convention.grid(*shape),
+        sha256=digest.hexdigest(),
     )
 
 
@@ -205,11 +212,17 @@ def _carrier_hz(place: str, text: str) -> float:
 
 
 def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
-    """The receiver that `gateway_info.yml` describes, with the array of the convention."""
+    """The receiver in `gateway_info.yml`, the mapping with position and orientation; its array is the convention's."""
     content = _yaml(path)
     _check_declared(path, content, convention)
-    gateway = _gateway(path, content)
-    published, position_m = (_listed(path, gateway, key, n) for key, n in (("orientation", 4), ("position", 3)))
+    found = [content, *content.values()]
+    gateways = [frame for frame in found if isinstance(frame, dict) and {"position", "orientation"} <= frame.keys()]
+    if len(gateways) != 1:
+        raise DataError(
+            f"{path} describes {len(gateways)} receivers; it must describe one, as in 'gateway1: {{position: "
+            "[x, y, z], orientation: [x, y, z, w]}'."
+        )
+    published, position_m = (_listed(path, gateways[0], key, n) for key, n in (("orientation", 4), ("position", 3)))
     quaternion = convention.quaternion_xyzw(published)
     if not 1e-6 < max(map(abs, quaternion)) < 1e6:
         raise DataError(
@@ -261,18 +274,6 @@ def _check_declared(path: Path, content: dict[Any, Any], convention: Convention)
             f"{path} says that its maps differ from the given convention in {', '.join(differing)}. "
             f"Give {' '.join(f'--set {name}={declared[name]}' for name in differing)} too."
         )
-
-
-def _gateway(path: Path, content: dict[Any, Any]) -> dict[Any, Any]:
-    """The receiver in a YAML file: the only mapping in it that has a position and an orientation."""
-    found = [content, *content.values()]
-    gateways = [frame for frame in found if isinstance(frame, dict) and {"position", "orientation"} <= frame.keys()]
-    if len(gateways) != 1:
-        raise DataError(
-            f"{path} describes {len(gateways)} receivers; it must describe one, as in 'gateway1: {{position: "
-            "[x, y, z], orientation: [x, y, z, w]}'."
-        )
-    return gateways[0]
 
 
 def _listed(path: Path, gateway: dict[Any, Any], key: str, count: int) -> tuple[float, ...]:
@@ -327,15 +328,6 @@ def _check_order(table: Table) -> None:
             )
 
 
-def _common_shape(paths: list[Path]) -> tuple[int, int]:
-    """Numbers of rows and columns, which all maps must have in common; read from the headers of the PNGs."""
-    shape = shape_of(paths[0])
-    for path in paths[1:]:
-        if (found := shape_of(path)) != shape:
-            raise DataError(f"{path} has {found} rows and columns, but {paths[0].name} {shape}; all must agree.")
-    return shape
-
-
 def _sample_table(
     folder: Path,
     position_m: list[tuple[float, ...]],
@@ -364,11 +356,3 @@ def _sample_table(
             f"sample at {format_ghz(carriers[absent])}; every one needs each carrier of {CARRIERS} once."
         )
     return table
-
-
-def _content_sha256(paths: list[Path]) -> str:
-    digest = hashlib.sha256()
-    for path in paths:
-        with path.open("rb") as file:
-            digest.update(hashlib.file_digest(file, "sha256").digest())
-    return digest.hexdigest()

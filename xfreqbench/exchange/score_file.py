@@ -137,8 +137,11 @@ def score_file(
     done = np.cumsum([len(part.split.test) for part in parts]).tolist()
     content, silent, scored = [], [], []
     for part, so_far in zip(parts, done, strict=True):
-        maps_sha256, has_power = _checked(part, dataset.grid.shape)
-        content.append([part.split.sha256, part.declared.model_dump_json(), maps_sha256])
+        digest, has_power = hashlib.sha256(), False
+        for _, maps in part.batches(dataset.grid.shape):  # which checks them
+            digest.update(packed(maps).tobytes())
+            has_power = has_power or bool(maps.any())
+        content.append([part.split.sha256, part.declared.model_dump_json(), digest.hexdigest()])
         silent += [] if has_power else [part.split.name]
         checking(so_far, num_maps)
     sha256 = json_sha256(sorted(content))  # the order of the parts does not matter
@@ -148,18 +151,9 @@ def score_file(
     is_data_known = all(part.declared.dataset_sha256 for part in parts)
     given = {part.split.name for part in parts}
     protocols = dict.fromkeys(part.split.protocol for part in parts)
-    usual = [split.name for protocol in protocols for split in splits_or_none(dataset, protocol)]
+    usual = [split.name for protocol in protocols for split in _splits_or_none(dataset, protocol)]
     missing = tuple(name for name in usual if name not in given)
     return ScoredFile(tuple(scored), missing, tuple(silent), is_data_known)
-
-
-def _checked(part: Part, grid_shape: tuple[int, int]) -> tuple[str, bool]:
-    """Hash of the maps of a part as they will be stored, and whether any has power; reads and checks all of them."""
-    digest, has_power = hashlib.sha256(), False
-    for _, maps in part.batches(grid_shape):
-        digest.update(packed(maps).tobytes())
-        has_power = has_power or bool(maps.any())
-    return digest.hexdigest(), has_power
 
 
 def _scored(part: Part, dataset: PasDataset, data: str, file_sha256: str, folder: ResultsFolder) -> RunRecord:
@@ -193,21 +187,15 @@ def read_parts(path: Path, dataset: PasDataset, method: str | None = None) -> li
 
     `method` replaces the method's name that the file gives. Raises `DataError` and `UnknownNameError`.
     """
-    known = known_splits(dataset)
+    heard = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
+    targets = [None, *([carrier / 1e9] for carrier in heard)]
+    found = (_splits_or_none(dataset, protocol, each) for protocol in (*PROTOCOLS, *VALIDATIONS) for each in targets)
+    known = {split.name: split for splits in found for split in splits}
     with open_foreign(path) as file:
         return [_part(path, file, name, dataset, known, method) for name in _groups(path, file, dataset, known)]
 
 
-def known_splits(dataset: PasDataset) -> dict[str, Split]:
-    """All splits that the protocols and their validations can make of a data set, by name."""
-    heard = np.unique(dataset.carrier_hz[dataset.has_path]).tolist()
-    targets = [None, *([carrier / 1e9] for carrier in heard)]
-    protocols = (*PROTOCOLS, *VALIDATIONS)
-    found = (splits_or_none(dataset, protocol, target) for protocol in protocols for target in targets)
-    return {split.name: split for splits in found for split in splits}
-
-
-def splits_or_none(dataset: PasDataset, protocol: str, targets_ghz: Sequence[float] | None = None) -> list[Split]:
+def _splits_or_none(dataset: PasDataset, protocol: str, targets_ghz: Sequence[float] | None = None) -> list[Split]:
     """Splits of a protocol or of its validation; an empty list if the data set lacks what they need."""
     is_validation = protocol in VALIDATIONS
     tested = VALIDATIONS[protocol] if is_validation else protocol

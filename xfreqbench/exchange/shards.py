@@ -15,7 +15,6 @@ import numpy as np
 from xfreqbench.data.collection import PARTS, Collection, open_collection
 from xfreqbench.data.dataset import PasDataset, open_dataset
 from xfreqbench.errors import XFreqBenchError
-from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.system.files import atomic_folder, require_empty, storage_errors
 from xfreqbench.types import IntArray, NDArray, ProgressCallback, ignore_progress
 
@@ -130,7 +129,6 @@ def _write_tar(path: Path, columns: Columns, first: int) -> None:
 
 def _write_parquet(path: Path, columns: Columns, first: int) -> None:
     """A row a sample; a map is a list of fixed length, row by row."""
-    import pyarrow
     import pyarrow.parquet
 
     arrays = {}
@@ -140,21 +138,17 @@ def _write_parquet(path: Path, columns: Columns, first: int) -> None:
     pyarrow.parquet.write_table(pyarrow.table(arrays), path.with_suffix(".parquet"), row_group_size=100)
 
 
-def _array(receiver: ReceiverArray) -> str:
-    position_m, rotation, elements = (
-        np.round(values, 6).tolist()
-        for values in (receiver.position_m, receiver.rotation, receiver.element_position_wavelengths)
-    )
-    return (
-        f"The array is at {position_m} m; {rotation} takes its frame to the world, and its elements are at "
-        f"{elements} wavelengths in its frame."
-    )
-
-
 def _readme(splits: Mapping[str, PasDataset | Collection], total: int, to: str) -> str:
     ending = ".tar" if to == "webdataset" else ".parquet"
     split, data = next(iter(splits.items()))
     one = data[0] if isinstance(data, Collection) else data
+    receiver = one.header.receiver
+    of_array = receiver.position_m, receiver.rotation, receiver.element_position_wavelengths
+    position_m, rotation, elements = (np.round(values, 6).tolist() for values in of_array)
+    array = (
+        f"The array is at {position_m} m; {rotation} takes its frame to the world, and its elements are at "
+        f"{elements} wavelengths in its frame."
+    )
     rows, columns = one.grid.shape
     elevation_rad, azimuth_rad = one.grid.elevation_rad, one.grid.azimuth_rad
     room = (
@@ -173,6 +167,6 @@ def _readme(splits: Mapping[str, PasDataset | Collection], total: int, to: str) 
         high=degrees(elevation_rad[-1]),
         first=degrees(azimuth_rad[0]),
         last=degrees(azimuth_rad[-1]),
-        array="" if isinstance(data, Collection) else _array(one.header.receiver),
+        array="" if isinstance(data, Collection) else array,
         code=_CODE[to].format(split=split, rows=rows, columns=columns),
     )

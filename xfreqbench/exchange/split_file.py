@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.hdf5 import SealedWriter, Variable, create_sealed, open_sealed, text_attributes, verify_sealed
-from xfreqbench.data.schema import constants, variables
+from xfreqbench.data.hdf5 import Variable, create_sealed, open_sealed, text_attributes, verify_sealed
+from xfreqbench.data.schema import CARRIER, TX, constants, variables
 from xfreqbench.data.splits import Split
 from xfreqbench.errors import DataError, ProtocolError
 from xfreqbench.runs.scoring import BATCH_SIZE
@@ -57,12 +57,14 @@ def write_splits(
     sha256 = json_sha256([SCHEMA, dataset.sha256, [split.sha256 for split in splits], maps])
     if require_own(path, lambda file: _fault_of(file, sha256)):
         return False
-    stored = [variable for split in splits for variable in _variables(dataset, split, maps)]
+    known = [entry for split in splits for entry in _known(dataset, split, maps)]
+    stored = [variable for variable, _ in known]
     groups = {split.name: _attributes(dataset, split) for split in splits}
     done, num_maps = 0, sum(len(split.train) for split in splits)
     with create_sealed(path, stored, {"schema": SCHEMA, "content_sha256": sha256}, groups) as writer:
-        for split in splits:
-            _append_known(writer, dataset, split)
+        for variable, values in known:
+            if values is not None:
+                writer.append(variable.name, values)
         for split in splits if maps else ():
             for start in range(0, len(split.train), BATCH_SIZE):
                 part = dataset.pas(split.train[start : start + BATCH_SIZE])
@@ -107,41 +109,29 @@ def _attributes(dataset: PasDataset, split: Split) -> dict[str, str]:
     }
 
 
-def _variables(dataset: PasDataset, split: Split, with_maps: bool) -> list[Variable]:
+def _known(dataset: PasDataset, split: Split, with_maps: bool) -> list[tuple[Variable, NDArray[Any] | None]]:
+    """The variables of a split with their values, which are None for maps."""
     header, (E, A) = dataset.header, dataset.grid.shape
-    known = [variable for variable in variables(header, dataset.grid) if variable.name in _geometry(dataset)]
+    # axes, grid and receiver as a data set stores them: what every method may know
+    geometry = {name: values for name, values in constants(header, dataset.grid).items() if name not in (TX, CARRIER)}
+    known: list[tuple[Variable, NDArray[Any] | None]] = [
+        (variable, geometry[variable.name]) for variable in variables(header, dataset.grid) if variable.name in geometry
+    ]
     for part, rows in (("train", split.train), ("test", split.test)):
-        row, shape = f"{part}_row", (len(rows),)
+        samples, row, shape = dataset[rows], f"{part}_row", (len(rows),)
+        place = Variable(f"{part}_tx_position_m", "<f8", (*shape, 3), (row, "axis"), "m", "transmitter position")
         known += [
-            Variable(row, "<i8", shape, (row,), "1", "row of the data set: tx · F + carrier"),
-            Variable(f"{part}_tx_position_m", "<f8", (*shape, 3), (row, "axis"), "m", "transmitter position"),
-            Variable(f"{part}_carrier_hz", "<f8", shape, (row,), "Hz", "carrier frequency"),
+            (Variable(row, "<i8", shape, (row,), "1", "row of the data set: tx · F + carrier"), rows),
+            (place, samples.tx_position_m),
+            (Variable(f"{part}_carrier_hz", "<f8", shape, (row,), "Hz", "carrier frequency"), samples.carrier_hz),
         ]
     if with_maps:
         axes = ("train_row", "elevation_deg", "azimuth_deg")
         long_name = f"power angular spectrum ({header.pas_kind}), peak 1"
         maps = Variable("train_pas", "<f4", (len(split.train), E, A), axes, "1", long_name, chunk=(1, E, A))
-        known.append(maps)
+        known.append((maps, None))
     prefix = f"{split.name}/"
     return [
-        replace(variable, name=prefix + variable.name, axes=tuple(prefix + axis for axis in variable.axes))
-        for variable in known
+        (replace(variable, name=prefix + variable.name, axes=tuple(prefix + axis for axis in variable.axes)), values)
+        for variable, values in known
     ]
-
-
-def _geometry(dataset: PasDataset) -> dict[str, NDArray[Any]]:
-    """Axes, grid and receiver as a data set stores them: what every method may know."""
-    known = constants(dataset.header, dataset.grid)
-    return {name: values for name, values in known.items() if name not in ("tx", "carrier_hz")}
-
-
-def _append_known(writer: SealedWriter, dataset: PasDataset, split: Split) -> None:
-    """Write everything of a split but its maps."""
-    values = _geometry(dataset)
-    for part, rows in (("train", split.train), ("test", split.test)):
-        samples = dataset[rows]
-        values[f"{part}_row"] = rows
-        values[f"{part}_tx_position_m"] = samples.tx_position_m
-        values[f"{part}_carrier_hz"] = samples.carrier_hz
-    for name, known in values.items():
-        writer.append(f"{split.name}/{name}", known)

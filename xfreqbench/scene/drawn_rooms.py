@@ -78,42 +78,33 @@ def draw_room(family: FilePath | Family, seed: Annotated[int, Field(ge=0, lt=2**
     Raises as `load_family`, and `SceneError` for a family that leaves no place for the array, or draws an invalid room.
     """
     family = family if isinstance(family, Family) else load_family(family)
+    dice, kind = Dice(seed), family.type_of(seed)
     with form_errors(f"room {seed} of family {family.name!r}", Scene):
-        return _drawn(family, seed)
+        outline_m = _outline(family, kind, dice)
+        height_m = _rounded(dice.between(kind.height_m))
+        shell = _Shell(kind, outline_m, height_m, dice)
+        surfaces, lines = list(shell.surfaces()), shell.lines
+        receiver = _receiver(family, kind, outline_m, height_m, lines, dice)
+        pieces = {piece.name: piece for piece in family.piece}
+        solids = [*lines, _point(*receiver.position_m, _ARRAY_GAP_M)]
+        names = count(1)
+        for furniture in kind.furniture:
+            for _ in range(dice.whole(furniture.number)):
+                placed = _placed(pieces[furniture.piece], outline_m, height_m, solids, dice)
+                if placed:
+                    solids.append(placed.solid)
+                    surfaces += placed.surfaces(f"{furniture.piece} {next(names)}", dice)
+        used = {surface.material for surface in surfaces}
+        layered = (material for material in family.material if material.name in used)
+        used |= {layer.material for material in layered for layer in material.layers or ()}
+        materials = tuple(material for material in family.material if material.name in used)
+        scene = Scene(room_name(family, seed), receiver, surface=tuple(surfaces), material=materials)
+    return DrawnRoom(seed, kind, scene, outline_m, tuple(solids))
 
 
 def room_name(family: Family, seed: int) -> str:
     """The name of the scene that a seed draws from a family."""
     return f"{family.name}-{family.type_of(seed).name}-{seed}"
-
-
-def _drawn(family: Family, seed: int) -> DrawnRoom:
-    dice = Dice(seed)
-    kind = family.type_of(seed)
-    outline_m = _outline(family, kind, dice)
-    height_m = _rounded(dice.between(kind.height_m))
-    shell = _Shell(kind, outline_m, height_m, dice)
-    surfaces, lines = list(shell.surfaces()), shell.lines
-    receiver = _receiver(family, kind, outline_m, height_m, lines, dice)
-    x, y, z = receiver.position_m
-    pieces = {piece.name: piece for piece in family.piece}
-    solids = [*lines, _point(x, y, z, _ARRAY_GAP_M)]
-    names = count(1)
-    for furniture in kind.furniture:
-        for _ in range(dice.whole(furniture.number)):
-            placed = _placed(pieces[furniture.piece], outline_m, height_m, solids, dice)
-            if placed:
-                solids.append(placed.solid)
-                surfaces += placed.surfaces(f"{furniture.piece} {next(names)}", dice)
-    used = {surface.material for surface in surfaces}
-    used |= {layer.material for material in family.material if material.name in used for layer in material.layers or ()}
-    scene = Scene(
-        name=room_name(family, seed),
-        receiver=receiver,
-        surface=tuple(surfaces),
-        material=tuple(material for material in family.material if material.name in used),
-    )
-    return DrawnRoom(seed, kind, scene, outline_m, tuple(solids))
 
 
 def _outline(family: Family, kind: RoomType, dice: Dice) -> Float[FloatArray, "n 2"]:
@@ -136,11 +127,7 @@ class _Shell:
         self._kind, self._outline_m, self._height_m, self._dice = kind, outline_m, height_m, dice
         self.walls: list[Wall] = list(zip(outline_m, np.roll(outline_m, -1, axis=0), strict=True))
         self.partitions = self._partitions()
-
-    @property
-    def lines(self) -> list[Solid]:
-        """Walls and partitions as what takes up space."""
-        return [Solid(np.array(wall), 0.0, self._height_m) for wall in (*self.walls, *self.partitions)]
+        self.lines = [Solid(np.array(wall), 0.0, height_m) for wall in (*self.walls, *self.partitions)]
 
     def surfaces(self) -> Iterator[Surface]:
         """All surfaces; walls face the room, and so do floor and ceiling."""

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from xfreqbench.scene.materials import Scattering
-from xfreqbench.scene.meshes import SurfaceMesh
+from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes
+from xfreqbench.scene.model import Scene
 from xfreqbench.scene.patches import PLANE_TOLERANCE, mirror_patches
 from xfreqbench.types import FloatArray, IntArray, NDArray
 
@@ -31,6 +32,11 @@ class Geometry:
 
     def __init__(self, meshes: Sequence[SurfaceMesh]) -> None:
         self.meshes = list(meshes)
+
+    @classmethod
+    def of(cls, scene: Scene) -> Geometry:
+        """That of a scene; raises `SceneError` for meshes that cannot be read."""
+        return cls(surface_meshes(scene))
 
     @property
     def num_triangles(self) -> int:
@@ -95,7 +101,11 @@ def group_by_plane(facets: Sequence[PlanarFacet]) -> tuple[Float[FloatArray, "P 
     claimants: list[int] = []
     for facet in np.argsort(-diagonal_m, kind="stable"):
         if plane[facet] < 0:
-            plane[(plane < 0) & _in_plane(planes[facet], planes[:, :3], corners_m)] = len(claimants)
+            normal, offset_m = planes[facet, :3], planes[facet, 3]
+            tilt_rad = np.minimum(*(np.linalg.norm(planes[:, :3] + side, axis=1) for side in (normal, -normal)))
+            distance_m = np.abs(corners_m @ normal - offset_m).max(axis=1)
+            is_within = (tilt_rad < PLANE_TOLERANCE) & (distance_m < PLANE_TOLERANCE)
+            plane[(plane < 0) & is_within] = len(claimants)
             plane[facet] = len(claimants)  # though its fourth corner may stand a little off its own plane
             claimants.append(int(facet))
     distinct = planes[claimants]
@@ -110,13 +120,3 @@ def _planes(corners_m: Float[FloatArray, "Q 4 3"]) -> Float[FloatArray, "Q 4"]:
     leading = (np.abs(normal) > 0.1).argmax(axis=1)
     normal *= np.sign(np.take_along_axis(normal, leading[:, None], axis=1))
     return np.hstack([normal, np.einsum("qc,qc->q", normal, corners_m[:, 0])[:, None]])
-
-
-def _in_plane(
-    plane: Float[FloatArray, "4"], normals: Float[FloatArray, "Q 3"], corners_m: Float[FloatArray, "Q 4 3"]
-) -> Bool[NDArray[np.bool_], "Q"]:
-    """Whether each facet is parallel to a plane, whichever side its normal points to, and lies in it."""
-    normal, offset_m = plane[:3], plane[3]
-    tilt_rad = np.minimum(*(np.linalg.norm(normals + side, axis=1) for side in (normal, -normal)))
-    distance_m = np.abs(corners_m @ normal - offset_m).max(axis=1)
-    return np.asarray((tilt_rad < PLANE_TOLERANCE) & (distance_m < PLANE_TOLERANCE))

@@ -206,11 +206,6 @@ class Family:
                 return room_type
         return self.type[-1]
 
-    @property
-    def held_out_types(self) -> tuple[str, ...]:
-        """Names of the types whose rooms are only for the test."""
-        return tuple(room_type.name for room_type in self.type if room_type.held_out)
-
 
 def load_family(name_or_path: FilePath) -> Family:
     """A shipped family by its name, or one by the path of its TOML file, which ends in `.toml`.

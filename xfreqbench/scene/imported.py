@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,12 +90,6 @@ class ImportedShape:
     slab: Slab
     triangles: Triangles
     source: str
-
-    def transformed(self, matrix: Float[FloatArray, "3 3"]) -> ImportedShape:
-        """The same shape with every vertex multiplied by a matrix."""
-        vertices_m, triangles = self.triangles
-        with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later
-            return replace(self, triangles=Triangles(vertices_m @ matrix.T, triangles))
 
 
 def bounded(shapes: Iterable[ImportedShape], path: Path) -> Iterator[ImportedShape]:

@@ -310,28 +310,20 @@ def _defining_band(material: Material, carrier_hz: float) -> Band | None:
     return next((band for band in material_bands(material) if band.contains(carrier_hz)), None)
 
 
-def _nearest_band(material: Material, carrier_hz: float) -> Band:
-    """The band from which a material is extrapolated: the one whose edge is nearest on a logarithmic axis."""
-    log_carrier = np.log(carrier_hz / 1e9)
-
-    def distance(band: Band) -> float:
-        return float(max(np.log(band.low_ghz) - log_carrier, log_carrier - np.log(band.high_ghz), 0.0))
-
-    return min(material_bands(material), key=distance)
-
-
 def complex_permittivity(material: Material, carrier_hz: float, policy: MaterialPolicy = "error") -> complex:
     """Relative complex permittivity ε' − jσ/(2πf·ε₀) at one carrier (ITU-R P.2040, Eq. 9).
 
     Outside every band of the material, `policy="error"` raises `MaterialBandError` and
     `policy="extrapolate"` continues the power law of the nearest band.
     """
-    band = _defining_band(material, carrier_hz)
+    band, carrier_ghz = _defining_band(material, carrier_hz), carrier_hz / 1e9
     if band is None:
         if policy == "error":
             check_dispersion([material], [carrier_hz])
-        band = _nearest_band(material, carrier_hz)
-    carrier_ghz = carrier_hz / 1e9
+        # the band whose edge is nearest on a logarithmic axis
+        band = min(
+            material_bands(material), key=lambda each: max(each.low_ghz / carrier_ghz, carrier_ghz / each.high_ghz)
+        )
     conductivity_s_m = band.c * carrier_ghz**band.d
     return complex(band.a * carrier_ghz**band.b, -conductivity_s_m / (2 * np.pi * carrier_hz * VACUUM_PERMITTIVITY_F_M))
 

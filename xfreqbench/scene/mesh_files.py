@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,7 +36,11 @@ def read_mesh(path: Path, kind: MeshKind) -> Triangles:
 
     content = read_bytes(path)
     if kind == "obj":
-        return _merged([part.triangles for part in _obj_parts(content)])
+        parts = [part.triangles for part in _obj_parts(content)]
+        first = np.cumsum([0, *(len(part.vertices_m) for part in parts)])[:-1]
+        triangles = [part.triangles + number for part, number in zip(parts, first, strict=True)]
+        vertices_m = np.concatenate([np.zeros((0, 3)), *(part.vertices_m for part in parts)])
+        return Triangles(vertices_m, np.concatenate([np.zeros((0, 3), np.int64), *triangles]))
     if kind == "ply":
         return _read_ply(content)
     return _loaded(trimesh.load_mesh(io.BytesIO(_whole_stl(content)), file_type="stl", process=False))
@@ -177,13 +181,6 @@ def _binary_polygons(content: bytes) -> tuple[list[list[int]], Float[FloatArray,
     if start != len(body):
         raise ValueError("it is longer than its header says")
     return faces, vertices_m
-
-
-def _merged(parts: Sequence[Triangles]) -> Triangles:
-    first = np.cumsum([0, *(len(part.vertices_m) for part in parts)])[:-1]
-    triangles = [part.triangles + number for part, number in zip(parts, first, strict=True)]
-    vertices_m = np.concatenate([np.zeros((0, 3)), *(part.vertices_m for part in parts)])
-    return Triangles(vertices_m, np.concatenate([np.zeros((0, 3), np.int64), *triangles]))
 
 
 def read_scene(path: Path, materials: Mapping[str, SceneMaterial]) -> list[ImportedShape]:

@@ -7,7 +7,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
@@ -53,34 +53,27 @@ class SurfaceMesh:
 
         Two triangles that form a parallelogram are one facet; seen from the front they turn counter-clockwise.
         """
-        return _merged(self.vertices_m, self.triangles)
+        corners_m = self.corners_m
+        front = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+        by_edge: dict[tuple[int, ...], list[int]] = defaultdict(list)
+        for index, triangle in enumerate(self.triangles):
+            for a, b in ((0, 1), (1, 2), (2, 0)):
+                by_edge[tuple(sorted((int(triangle[a]), int(triangle[b]))))].append(index)
+        merged: list[tuple[FloatArray, FloatArray]] = []
+        used: set[int] = set()
+        for edge, pair in by_edge.items():  # paired greedily over shared edges
+            if len(pair) == 2 and not used & set(pair):
+                corners = _parallelogram(self.vertices_m, edge, *self.triangles[pair])
+                if corners is not None:
+                    merged.append((corners, front[pair[0]]))
+                    used |= set(pair)
+        has_area = _have_area(corners_m)
+        return merged + [(corners_m[i], front[i]) for i in range(len(corners_m)) if i not in used and has_area[i]]
 
     @property
     def slab(self) -> Slab:
         """What every face is made of."""
         return Slab(self.material, self.thickness_m, self.scattering)
-
-
-def _merged(
-    vertices_m: Float[FloatArray, "V 3"], triangles: Int[IntArray, "K 3"]
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Corners and fronts of a mesh's facets; triangles are paired greedily over shared edges, in their order."""
-    corners_m = vertices_m[triangles]
-    front = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
-    by_edge: dict[tuple[int, ...], list[int]] = defaultdict(list)
-    for index, triangle in enumerate(triangles):
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            by_edge[tuple(sorted((int(triangle[a]), int(triangle[b]))))].append(index)
-    merged: list[tuple[FloatArray, FloatArray]] = []
-    used: set[int] = set()
-    for edge, pair in by_edge.items():
-        if len(pair) == 2 and not used & set(pair):
-            corners = _parallelogram(vertices_m, edge, triangles[pair[0]], triangles[pair[1]])
-            if corners is not None:
-                merged.append((corners, front[pair[0]]))
-                used |= set(pair)
-    has_area = _have_area(corners_m)
-    return merged + [(corners_m[i], front[i]) for i in range(len(triangles)) if i not in used and has_area[i]]
 
 
 def _parallelogram(
@@ -171,7 +164,11 @@ def _imported_shapes(scene: Scene) -> list[ImportedShape]:
     if scene.up is None and not scene.scene.startswith(SIONNA):
         _require_upright(scene, path, shapes, turns, up)
     matrix = UNIT_M[scene.unit or "m"] * turns[up]
-    return shapes if (matrix == np.eye(3)).all() else [shape.transformed(matrix) for shape in shapes]
+    if (matrix == np.eye(3)).all():
+        return shapes
+    with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later
+        turned = [Triangles(shape.triangles.vertices_m @ matrix.T, shape.triangles.triangles) for shape in shapes]
+    return [replace(shape, triangles=triangles) for shape, triangles in zip(shapes, turned, strict=True)]
 
 
 def _require_upright(

@@ -239,13 +239,15 @@ def _check_properties(bsdf: Element, name: str, path: Path) -> None:
     if kind not in _OWN_PROPERTIES and re.search("radio|^itu", kind, re.IGNORECASE):
         raise UnknownNameError(f"type of material, as that of {name!r} in {path}, called", kind, _OWN_PROPERTIES)
     known = {**_PROPERTIES, **_OWN_PROPERTIES.get(kind, _OWN_PROPERTIES["itu-radio-material"])}
+    longer = [name for name in _PROPERTIES if len(name) > len("alpha_u")]  # materials of looks have no similar names
     met = set[str]()
     for child in bsdf:
         given = child.get("name", "")
         if child.tag in ("bsdf", "ref") or given in ("color", "reflectance", "base_color"):
             continue
         fault = None
-        if given not in known and (kind in _OWN_PROPERTIES or _is_slip(given)):
+        is_own = kind in _OWN_PROPERTIES or any(word in given.lower() for word in ("permittivity", "conductivity"))
+        if given not in known and (is_own or difflib.get_close_matches(given.lower(), longer, n=1, cutoff=0.75)):
             if not any(given in own for own in _OWN_PROPERTIES.values()):
                 raise UnknownNameError(f"property of material {name!r} in {path}, called", given, known)
             fault = f"is no property of a material of type {kind!r}; change the type, or remove it"
@@ -256,13 +258,6 @@ def _check_properties(bsdf: Element, name: str, path: Path) -> None:
         if fault:
             raise SceneError(f"{path}: material {name!r}, {given}: it {fault}.")
         met.add(given)
-
-
-def _is_slip(given: str) -> bool:
-    """Whether a name that is not a property of radio materials was most likely meant to be one of them."""
-    longer = [name for name in _PROPERTIES if len(name) > len("alpha_u")]  # materials of looks have no similar names
-    is_own = any(word in given.lower() for word in ("permittivity", "conductivity"))
-    return is_own or bool(difflib.get_close_matches(given.lower(), longer, n=1, cutoff=0.75))
 
 
 def _material(bsdf: Element, name: str, path: Path) -> Material | None:
@@ -366,39 +361,32 @@ def _unit_sphere() -> Triangles:
 
 
 def _placed(triangles: Triangles, shape: Element, where: str) -> Triangles:
-    """Triangles moved to where the shape's `to_world` puts them."""
+    """Triangles moved to where the shape's `to_world` puts them, by its steps, the first applied first.
+
+    Raises `SceneError` for a step that is unknown, has no sound numbers, or is not affine, and for steps that leave
+    nothing of a shape.
+    """
     transforms = shape.findall("./transform")
     if not transforms:
         return triangles
     if len(transforms) > 1 or transforms[0].get("name") != "to_world":
         raise SceneError(f"{where} has a second <transform>; leave one, named 'to_world'.")
-    matrix = _affine_transform(transforms[0], where)
-    with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused later
-        return Triangles(triangles.vertices_m @ matrix[:3, :3].T + matrix[:3, 3], triangles.triangles)
+    whole = np.eye(4)
+    with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused below, or later
+        for element in transforms[0]:
+            whole = _step(element, where) @ whole
+        if not (np.abs(whole) < 1e100).all():  # beyond, the products of three below overflow
+            raise SceneError(f"{where} has a <transform> that moves it beyond every number.")
+        lengths = np.linalg.norm(whole[:3, :3], axis=0)
+        if not abs(np.linalg.det(whole[:3, :3])) > 1e-12 * np.prod(lengths):
+            raise SceneError(f"{where} has a <transform> that flattens it; no scale may be 0.")
+        return Triangles(triangles.vertices_m @ whole[:3, :3].T + whole[:3, 3], triangles.triangles)
 
 
 def _text(element: Element, name: str) -> str:
     """Value of an element's `<string>` of a name; empty if there is none."""
     found = element.find(f"./string[@name='{name}']")
     return found.get("value", "") if found is not None else ""
-
-
-def _affine_transform(transform: ElementTree.Element, where: str) -> Float[FloatArray, "4 4"]:
-    """Matrix of a `<transform>` with steps translate, rotate, scale, matrix and lookat, the first applied first.
-
-    `where` begins the message of the `SceneError` for a step that is unknown, has no sound numbers, or is not affine,
-    and for steps that leave nothing of a shape.
-    """
-    whole = np.eye(4)
-    for element in transform:
-        with np.errstate(all="ignore"):  # of numbers that no float holds, which are refused below
-            whole = _step(element, where) @ whole
-    if not (np.abs(whole) < 1e100).all():  # beyond, the products of three below overflow
-        raise SceneError(f"{where} has a <transform> that moves it beyond every number.")
-    lengths = np.linalg.norm(whole[:3, :3], axis=0)
-    if not abs(np.linalg.det(whole[:3, :3])) > 1e-12 * np.prod(lengths):
-        raise SceneError(f"{where} has a <transform> that flattens it; no scale may be 0.")
-    return whole
 
 
 def _vector(element: ElementTree.Element, where: str, default: float = 0.0) -> Float[FloatArray, "3"]:

@@ -13,7 +13,6 @@ from xfreqbench.errors import SceneError, UnknownNameError, XFreqBenchError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.model import Scene
 from xfreqbench.scene.overlaps import check_overlaps
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import CarriersGhz, checked
 from xfreqbench.tracing.tracer import (
     INTERACTIONS,
@@ -95,31 +94,31 @@ def resolve_solver(geometry: Geometry, settings: TraceSettings) -> TraceSettings
 
 
 @checked
-def make_tracer(
-    scene: InstanceOf[Scene] | InstanceOf[PreparedScene],
-    freqs_ghz: CarriersGhz,
-    settings: TraceSettings = TraceSettings(),
-) -> Tracer:
+def make_tracer(scene: InstanceOf[Scene], freqs_ghz: CarriersGhz, settings: TraceSettings = TraceSettings()) -> Tracer:
     """Load a scene into the solver that `settings` names, and shoot its rays.
 
     `auto` is the solver that `resolve_solver` names. Raises `SceneError`, of which `MaterialBandError` is one, and for
     surfaces of different slabs that overlap in one plane.
     """
     check_settings(settings)
-    prepared = PreparedScene.of(scene)
-    check_overlaps(prepared.geometry)
-    return tracer_of(prepared, [ghz_to_hz(carrier) for carrier in freqs_ghz], settings)
+    geometry = Geometry.of(scene)
+    check_overlaps(geometry)
+    return tracer_of(scene, [ghz_to_hz(carrier) for carrier in freqs_ghz], settings, geometry)
 
 
 def tracer_of(
-    scene: PreparedScene, carrier_hz: Sequence[float] | Float[FloatArray, "F"], settings: TraceSettings
+    scene: Scene,
+    carrier_hz: Sequence[float] | Float[FloatArray, "F"],
+    settings: TraceSettings,
+    geometry: Geometry | None = None,
 ) -> Tracer:
-    """As `make_tracer`, at carriers in hertz."""
-    settings = resolve_solver(scene.geometry, settings)
+    """As `make_tracer`, at carriers in hertz; `geometry` is that of the scene where it is known already."""
+    geometry = geometry or Geometry.of(scene)
+    settings = resolve_solver(geometry, settings)
     if settings.solver == "image":
         from xfreqbench.tracing.image.tracer import ImageTracer
 
-        return ImageTracer(scene, carrier_hz, settings)
+        return ImageTracer(scene, carrier_hz, settings, geometry=geometry)
     from xfreqbench.tracing.sionna.tracer import SionnaTracer
 
-    return SionnaTracer(scene, carrier_hz, settings)
+    return SionnaTracer(scene, carrier_hz, settings, geometry)

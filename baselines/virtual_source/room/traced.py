@@ -17,7 +17,6 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.methods.learning.loss import map_loss
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.model import ReceiverArray, Scene
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
@@ -49,8 +48,8 @@ def tracer_in(
     savings: ImageSavings = ImageSavings(),
 ) -> ImageTracer:
     """A tracer of a room, for an array and carriers."""
-    prepared = PreparedScene(Scene("learned", receiver.in_plane_xy), Geometry([surface.mesh for surface in room]))
-    return ImageTracer(prepared, carrier_hz, settings, savings)
+    scene, geometry = Scene("learned", receiver.in_plane_xy), Geometry([surface.mesh for surface in room])
+    return ImageTracer(scene, carrier_hz, settings, savings, geometry)
 
 
 def channels_in(

@@ -186,4 +186,6 @@ def test_the_reference_records_are_of_the_data_that_the_standard_benchmark_gener
         versions = {name.partition("-")[0] for name in data}  # of the physics with which they were generated
         headers = [replace(plan.header, physics=version) for version in versions]
         asked = (plan.tx_position_m, AngularGrid.hemisphere())
-        assert data <= {Recipe.of_scene(plan.scene, plan.settings, header, *asked).id for header in headers}
+        assert data <= {
+            Recipe.of_scene(plan.tracing.scene, plan.tracing.settings, header, *asked).id for header in headers
+        }

@@ -14,7 +14,6 @@ from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Antenna, ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.edges import find_edges
 from xfreqbench.tracing.image.kernels.wedges import diffract, transition
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
@@ -251,8 +250,8 @@ def test_what_is_shared_and_skipped_hardly_changes_the_field_over_edges() -> Non
 
 def test_a_channel_does_not_depend_on_what_else_is_asked_for() -> None:
     """Neither on other carriers nor on other transmitters; 7e-3 at 2.4 GHz where the lowest carrier decided for all."""
-    scene, settings = PreparedScene.of(load_scene("office")), TraceSettings(max_depth=3, rays=20_000)
-    tx_m = choose_transmitters(place_transmitters(scene.scene, scene.geometry.meshes), 3, seed=1)
+    scene, settings = load_scene("office"), TraceSettings(max_depth=3, rays=20_000)
+    tx_m = choose_transmitters(place_transmitters(scene, surface_meshes(scene)), 3, seed=1)
     whole = ImageTracer(scene, [1e9, 2.4e9, 94e9], settings).channel(tx_m)
     some = ImageTracer(scene, [2.4e9, 94e9], settings).channel(tx_m[::-2])
     same = whole.cfr[::-2][:, 1:]

@@ -22,9 +22,9 @@ from tests.support.rough_rooms import (
     room,
 )
 from tests.support.sionna_scenes import ONE_ELEMENT, RECEIVER
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.model import Scene, Surface
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.diffuse import roughness_of
 from xfreqbench.tracing.image.kernels.diffuse import pattern
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
@@ -37,7 +37,7 @@ SETTINGS = TraceSettings("image", ("specular", "refraction", "diffuse"), max_dep
 
 
 def traced(scene: Scene, settings: TraceSettings = SETTINGS, tx_m: NDArray[np.float64] = TX_M, **savings: Any) -> Paths:
-    return ImageTracer(PreparedScene.of(scene), [CARRIER_HZ], settings, ImageSavings(**savings)).paths(tx_m)
+    return ImageTracer(scene, [CARRIER_HZ], settings, ImageSavings(**savings)).paths(tx_m)
 
 
 def powers_of(gain: NDArray[Any], arrival: NDArray[np.float64], interactions: NDArray[Any]) -> NDArray[np.float64]:
@@ -99,14 +99,14 @@ def test_halved_tiles_give_the_power_of_every_octant() -> None:
 
 def test_the_sum_of_the_paths_is_the_channel_of_a_lone_element() -> None:
     settings = replace(SETTINGS, interactions=ALL, max_depth=3)
-    tracer = ImageTracer(PreparedScene.of(room()), [2.4e9, CARRIER_HZ], settings)
+    tracer = ImageTracer(room(), [2.4e9, CARRIER_HZ], settings)
     channel, paths = tracer.channel(TX_M[None]), tracer.paths(TX_M)
     assert (paths.interactions == DIFFUSE).any(axis=1).sum() > 4000
     np.testing.assert_allclose(cfr_at_centre(paths), channel.cfr[0, :, 0], rtol=1e-6)
 
 
 def test_a_channel_does_not_depend_on_what_else_is_asked_for() -> None:
-    scene, settings = PreparedScene.of(room(RECEIVER)), replace(SETTINGS, interactions=ALL, max_depth=3)
+    scene, settings = room(RECEIVER), replace(SETTINGS, interactions=ALL, max_depth=3)
     tx_m = np.array([TX_M, [3.0, 2.0, 1.5]])
     many = ImageTracer(scene, [77e9, 2.4e9, CARRIER_HZ], settings).channel(tx_m).cfr
     one = ImageTracer(scene, [CARRIER_HZ], settings).channel(tx_m[1:]).cfr
@@ -117,9 +117,9 @@ def test_a_channel_does_not_depend_on_what_else_is_asked_for() -> None:
 
 def test_phases_are_random_so_that_powers_add() -> None:
     """Mean power over seeds at each of 16 elements is the sum of the paths' powers; the amplitude's mean is none."""
-    scene = PreparedScene.of(plate(Scattering(0.7), receiver=RECEIVER))
+    scene = plate(Scattering(0.7), receiver=RECEIVER)
     settings = replace(SETTINGS, interactions=("diffuse",), max_depth=1, rays=1000)
-    total = (np.abs(traced(scene.scene, settings).gain[0]) ** 2)[1:].sum()  # without the line of sight
+    total = (np.abs(traced(scene, settings).gain[0]) ** 2)[1:].sum()  # without the line of sight
     seeds = (ImageTracer(scene, [CARRIER_HZ], replace(settings, seed=seed)) for seed in range(60))
     cfr = np.array([tracer.channel(TX_M[None]).cfr[0, 0] for tracer in seeds])
     spread = cfr - cfr.mean(axis=0)
@@ -139,7 +139,7 @@ def test_what_is_scattered_is_missing_from_the_specular_reflection() -> None:
         kept = [np.abs(paths.gain[0, (paths.interactions == [SPECULAR, 0]).all(axis=1)]) for paths in both]
         assert len(kept[0])
         np.testing.assert_allclose(kept[1], 0.8 * kept[0], rtol=1e-9)
-    assert resolve_solver(PreparedScene.of(plate(Scattering(0.6))).geometry, TraceSettings()).solver == "image"
+    assert resolve_solver(Geometry.of(plate(Scattering(0.6))), TraceSettings()).solver == "image"
 
 
 @pytest.mark.slow

@@ -16,7 +16,6 @@ from xfreqbench.errors import SceneError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes, triangle_corners_m
 from xfreqbench.scene.model import PatchSize, ReceiverArray, Scene, Surface
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.edges import Edge, find_edges
 from xfreqbench.tracing.image.kernels.arrays import MAX_BOXES, MIN_SEGMENT_M
 from xfreqbench.tracing.image.surfaces import MirrorPlanes, grow
@@ -249,7 +248,7 @@ def test_auto_takes_the_image_method_where_few_patches_mirror(room: Scene) -> No
     many = Geometry([*surface_meshes(facets)] * 2)
     assert resolve_solver(many, plain).solver == "sionna"
     with pytest.raises(SceneError, match="mirrors = 'patches'"):
-        ImageTracer(PreparedScene(facets, many), CARRIERS_HZ, SETTINGS)
+        ImageTracer(facets, CARRIERS_HZ, SETTINGS, geometry=many)
 
 
 def test_many_triangles_in_a_plane_mirror_and_diffract_as_one_rectangle(tmp_path: Path) -> None:

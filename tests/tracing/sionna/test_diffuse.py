@@ -12,7 +12,6 @@ from tests.support.sionna_scenes import RECEIVER
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.scene.materials import Scattering
 from xfreqbench.scene.meshes import surface_meshes
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.paths import DIFFUSE
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Channel, Interaction, TraceSettings
@@ -25,7 +24,7 @@ SETTINGS = TraceSettings(solver="sionna", interactions=ALL, max_depth=2, rays=2_
 
 def test_a_lambertian_floor_scatters_what_lamberts_law_says() -> None:
     settings = replace(SETTINGS, max_depth=1, rays=200_000)
-    paths = tracer_of(PreparedScene.of(plate(Scattering(coefficient=0.7))), [CARRIER_HZ], settings).paths(TX_M)
+    paths = tracer_of(plate(Scattering(coefficient=0.7)), [CARRIER_HZ], settings).paths(TX_M)
     diffuse = paths.interactions[:, 0] == DIFFUSE
     power = (np.abs(paths.gain[0, diffuse]) ** 2).sum()
     assert diffuse.sum() > 10_000
@@ -38,7 +37,7 @@ def test_what_is_scattered_is_missing_from_the_specular_reflection() -> None:
     reflected = []
     for coefficient, interactions in ((0.0, specular), (0.6, specular), (0.6, (*specular, "diffuse"))):
         settings = replace(SETTINGS, interactions=interactions, max_depth=1)
-        paths = tracer_of(PreparedScene.of(plate(Scattering(coefficient))), [CARRIER_HZ], settings).paths(TX_M)
+        paths = tracer_of(plate(Scattering(coefficient)), [CARRIER_HZ], settings).paths(TX_M)
         (gain,) = paths.gain[0, paths.interactions[:, 0] == 1]
         reflected.append(abs(gain))
     np.testing.assert_allclose(reflected[1:], 0.8 * reflected[0], rtol=1e-5)
@@ -79,7 +78,7 @@ def test_no_path_is_left_out_however_the_elements_are_divided(monkeypatch: pytes
 
     def channel(most_paths: int) -> Channel:
         monkeypatch.setattr(forward, "MAX_DIFFUSE_PATHS", most_paths)
-        return tracer_of(PreparedScene.of(scene), [CARRIER_HZ], SETTINGS).channel(TX_M[None])
+        return tracer_of(scene, [CARRIER_HZ], SETTINGS).channel(TX_M[None])
 
     together, apart = channel(100_000), channel(SETTINGS.rays * SETTINGS.max_depth)
     assert together.num_paths[0, 0] > SETTINGS.rays / 10
@@ -92,11 +91,11 @@ def test_no_path_is_left_out_however_the_elements_are_divided(monkeypatch: pytes
 def test_smooth_scenes_scatter_nothing_and_say_so() -> None:
     scene = plate(None)
     with pytest.raises(XFreqBenchError, match=r"no material of the scene scatters.*scattering = \{coefficient"):
-        tracer_of(PreparedScene.of(scene), [CARRIER_HZ], SETTINGS)
+        tracer_of(scene, [CARRIER_HZ], SETTINGS)
     with pytest.raises(XFreqBenchError, match="no material of the scene"):
-        tracer_of(PreparedScene.of(plate(Scattering(coefficient=0.0))), [CARRIER_HZ], SETTINGS)
+        tracer_of(plate(Scattering(coefficient=0.0)), [CARRIER_HZ], SETTINGS)
 
 
 def test_more_diffuse_paths_than_memory_holds_are_refused() -> None:
     with pytest.raises(XFreqBenchError, match=r"--rays 2,000,000"):
-        tracer_of(PreparedScene.of(room()), [CARRIER_HZ], replace(SETTINGS, rays=2_000_001))
+        tracer_of(room(), [CARRIER_HZ], replace(SETTINGS, rays=2_000_001))

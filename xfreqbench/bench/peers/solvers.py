@@ -12,7 +12,6 @@ from jaxtyping import Complex, Float
 from xfreqbench.bench.peers.differt import DiffeRTSolver
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.scene.model import ReceiverArray, Scene, Surface
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.sionna import plain
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import Interaction, SolverName, TraceSettings
@@ -48,7 +47,7 @@ class OurSolver:
         self, scene: Scene, carriers_hz: Sequence[float], order: int, solver: SolverName = "image", rays: int = RAYS
     ) -> None:
         settings = TraceSettings(solver=solver, interactions=SPECULAR_ALONE, max_depth=order, rays=rays)
-        self._tracer = tracer_of(PreparedScene.of(scene), carriers_hz, settings)
+        self._tracer = tracer_of(scene, carriers_hz, settings)
 
     def channels(self, tx_position_m: Float[FloatArray, "T 3"]) -> Channels:
         """As `PeerSolver` says."""

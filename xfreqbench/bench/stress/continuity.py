@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from xfreqbench.bench.stress.case import Area
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.model import Scene, load_scene
 from xfreqbench.scene.placement import place_transmitters
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.scene.toml_files import shipped_scenes
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.tracer import TraceSettings
@@ -27,13 +27,14 @@ def jumps(scene: Scene, num_steps: int, max_depth: int = 6) -> tuple[NDArray[np.
     A jump is what is left of the channel's change where each path has turned by the change of its length. It is
     relative to the root of the sum of the powers of all paths. The receiver is one element.
     """
-    prepared = PreparedScene.of(replace(scene, receiver=replace(scene.receiver, rows=1, cols=1)))
+    scene = replace(scene, receiver=replace(scene.receiver, rows=1, cols=1))
+    geometry = Geometry.of(scene)
     settings = TraceSettings(
         solver="image", interactions=("specular", "refraction", "diffraction"), max_depth=max_depth
     )
-    tracer = ImageTracer(prepared, [ghz_to_hz(ghz) for ghz in _CARRIERS_GHZ], settings)
+    tracer = ImageTracer(scene, [ghz_to_hz(ghz) for ghz in _CARRIERS_GHZ], settings, geometry=geometry)
     random, receiver_m = np.random.default_rng(0), np.array(scene.receiver.position_m)
-    places_m = place_transmitters(prepared.scene, prepared.geometry.meshes).tx_position_m
+    places_m = place_transmitters(scene, geometry.meshes).tx_position_m
     tx_m = places_m[random.integers(len(places_m), size=num_steps)] + random.uniform(-0.1, 0.1, (num_steps, 3))
     step_m = random.normal(size=(num_steps, 3))
     step_m *= _STEP_M / np.linalg.norm(step_m, axis=1)[:, None]

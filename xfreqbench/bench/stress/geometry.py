@@ -13,7 +13,6 @@ from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import PatchSize, ReceiverArray, Surface
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.paths import SPECULAR
@@ -183,5 +182,5 @@ def _cut_floor() -> float:
     expected = [
         -ray(direct_m, f) - fresnel_slab("concrete", 0.2, f, cosine)[0] * ray(length_m, f) for f in _CARRIERS_HZ
     ]
-    tracer = ImageTracer(PreparedScene(free_space(_RECEIVER), Geometry([floor])), _CARRIERS_HZ, _TWO_DEEP)
+    tracer = ImageTracer(free_space(_RECEIVER), _CARRIERS_HZ, _TWO_DEEP, geometry=Geometry([floor]))
     return largest_error(tracer.channel(tx_m[None]).cfr[0], expected, direct_m)

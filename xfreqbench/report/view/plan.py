@@ -22,7 +22,6 @@ from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.meshes import SurfaceMesh, surface_meshes
 from xfreqbench.scene.model import ReceiverArray, Scene, load_scene
 from xfreqbench.scene.placement import median_transmitter
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.tracing.paths import DIFFRACTION, DIFFUSE, NO_INTERACTION, REFRACTION, SPECULAR, Paths
 from xfreqbench.tracing.solvers import tracer_of
 from xfreqbench.tracing.tracer import TraceSettings
@@ -124,8 +123,7 @@ class ViewPlan:
             return self
         room = self.room
         carriers_hz = self.header.carrier_hz.tolist() if self.dataset else [self.carrier_hz]
-        prepared = PreparedScene(self.scene, Geometry(room.meshes))
-        paths = tracer_of(prepared, carriers_hz, self.settings).paths(room.tx_m)
+        paths = tracer_of(self.scene, carriers_hz, self.settings, Geometry(room.meshes)).paths(room.tx_m)
         index = carriers_hz.index(self.carrier_hz)
         rays = _strongest_rays(paths, index, room.tx_m, room.receiver_m, room.meshes)
         return replace(self, room=replace(room, rays=rays))
@@ -156,11 +154,11 @@ def _view_of_scene(scene: Scene, tx: int | None, carrier_ghz: float | None) -> V
         tx_position_m=plan.tx_position_m,
         in_sight=plan.line_of_sight,
         tx=_chosen_tx(tx, plan.tx_position_m, f"scene {scene.name}"),
-        meshes=plan.geometry.meshes,
+        meshes=plan.tracing.geometry.meshes,
         rays=[],
     )
-    recipe = Recipe.of_scene(scene, plan.settings, plan.header, plan.tx_position_m, AngularGrid.hemisphere())
-    return ViewPlan(plan.header, room, carrier_hz, None, scene, plan.settings, recipe.sha256)
+    recipe = Recipe.of_scene(scene, plan.tracing.settings, plan.header, plan.tx_position_m, AngularGrid.hemisphere())
+    return ViewPlan(plan.header, room, carrier_hz, None, scene, plan.tracing.settings, recipe.sha256)
 
 
 def _view_of_dataset(dataset: PasDataset, tx: int | None, carrier_ghz: float | None) -> ViewPlan:

@@ -30,7 +30,6 @@ from xfreqbench.scene.imported import Slab
 from xfreqbench.scene.materials import MaterialPolicy, complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh, slabs_of
 from xfreqbench.scene.model import Antenna, ReceiverArray, Scene
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.image.diffraction import Diffraction
 from xfreqbench.tracing.image.diffuse import DiffuseReflection
@@ -86,14 +85,13 @@ class ImageTracer:
 
     def __init__(
         self,
-        scene: Scene | PreparedScene,
+        scene: Scene,
         carrier_hz: Sequence[float] | Float[FloatArray, "F"],
         settings: TraceSettings,
         savings: ImageSavings = ImageSavings(),
+        geometry: Geometry | None = None,
     ) -> None:
-        prepared = PreparedScene.of(scene)
-        scene, geometry = prepared.scene, prepared.geometry
-        settings = settings.by("image")
+        settings, geometry = settings.by("image"), geometry or Geometry.of(scene)
         if not can_solve(geometry, settings):
             raise SceneError(
                 f"The image solver takes {' and '.join(sorted(INTERACTIONS))} among at most {MAX_MIRRORS:,} "

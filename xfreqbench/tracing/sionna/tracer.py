@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import check_dispersion
 from xfreqbench.scene.model import Scene
-from xfreqbench.scene.prepared import PreparedScene
 from xfreqbench.system.arguments import Position, Positions, checked
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.sionna.field import Field
@@ -38,13 +38,13 @@ class SionnaTracer:
 
     def __init__(
         self,
-        scene: Scene | PreparedScene,
+        scene: Scene,
         carrier_hz: Sequence[float] | Float[FloatArray, "F"],
         settings: TraceSettings,
+        geometry: Geometry | None = None,
     ) -> None:
         carriers, settings = np.asarray(carrier_hz, dtype=np.float64), settings.by("sionna")
-        prepared = PreparedScene.of(scene)
-        receiver, meshes = prepared.scene.receiver, prepared.geometry.meshes
+        receiver, meshes = scene.receiver, (geometry or Geometry.of(scene)).meshes
         check_dispersion([mesh.slab.homogeneous for mesh in meshes], carriers.tolist(), settings.materials)
         is_one_way = frozenset({"diffraction", "diffuse"}) & set(settings.named_interactions)
         shooting: type[ForwardRays | ReceiverRays] = ForwardRays if is_one_way else ReceiverRays
@@ -52,7 +52,7 @@ class SionnaTracer:
         x, y, z = (receiver.position_m - self._origin_m).tolist()
         moved = [replace(mesh, vertices_m=mesh.vertices_m - self._origin_m) for mesh in meshes]
         radio_scene = RadioScene(moved, settings.materials)
-        moved_receiver, antenna = replace(receiver, position_m=(x, y, z)), prepared.scene.transmitter_antenna
+        moved_receiver, antenna = replace(receiver, position_m=(x, y, z)), scene.transmitter_antenna
         self._rays = shooting(radio_scene, moved_receiver, antenna, carriers, settings)
 
     def with_antennas(self, scene: Scene) -> SionnaTracer:
