@@ -21,9 +21,9 @@ from xfreqbench.scene.model import load_scene
 def test_executors_are_compared_on_the_same_bytes(tmp_path: Path) -> None:
     plan = plan_generation(load_scene("empty"), [1e9], tx=2 * BATCH)
     work = scale_out._Generation(plan, tmp_path)
-    serial, processes = (scale_out._measured(way, work) for way in list(WAYS)[:2])
-    assert serial.sha256 == processes.sha256 == open_dataset(tmp_path / "2 processes.h5").sha256
-    assert serial.cells("tx")[2] == f"{2 * BATCH / serial.wall_s:.3g} tx/s"
+    (*times_s, serial), (*_, processes) = (scale_out._measured(way, work) for way in list(WAYS)[:2])
+    assert serial == processes == open_dataset(tmp_path / "2 processes.h5").sha256
+    assert min(times_s) > 0
 
 
 def test_fewer_than_a_batch_are_refused_before_anything_is_measured(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +66,6 @@ WAYS: dict[str, Callable[[bool], AbstractContextManager[Workers]]] = {
 
 
 def _tabulate_executors(bench: Bench, num_tx: int, folder: Path) -> None:
-    """Print the cost of each executor for generation and for runs."""
     plan, points, first = _office_plan(num_tx), [], dict[str, str]()
     note = (
         f"Generation: {num_tx} transmitters × {len(plan.header.carrier_hz)} carriers of {SCENE} at the defaults, "
@@ -83,29 +81,15 @@ def _tabulate_executors(bench: Bench, num_tx: int, folder: Path) -> None:
     with bench.table("What an executor costs", note, columns, software_versions("image")) as table:
         for work in (_Generation(plan, folder), _Runs(folder)):
             for way in list(WAYS)[: None if is_installed() else -1]:
-                took = _measured(way, work)
-                same = took.sha256 == first.setdefault(work.name, took.sha256)
-                table.add(work.name, way, *took.cells(work.unit), "yes" if same else "NO")
-                points.append(BenchPoint(series=work.name, label=way, x=took.start_up_s, y=took.amount / took.wall_s))
+                start_up_s, wall_s, empty_call_s, sha256 = _measured(way, work)
+                same = "yes" if sha256 == first.setdefault(work.name, sha256) else "NO"
+                rate = work.amount / wall_s
+                cells = f"{start_up_s:.1f}", f"{wall_s:.1f}", f"{rate:.3g} {work.unit}/s", f"{empty_call_s * 1e3:.2f}"
+                table.add(work.name, way, *cells, same)
+                points.append(BenchPoint(series=work.name, label=way, x=start_up_s, y=rate))
         table.figure = BenchFigure(
             x_label="start-up, s", y_label="transmitters or runs a second", log_x=False, points=tuple(points)
         )
-
-
-@dataclass(frozen=True)
-class _Took:
-    """Times of one work on one executor, its amount, and a digest of its results."""
-
-    start_up_s: float
-    wall_s: float
-    amount: int
-    empty_call_s: float
-    sha256: str
-
-    def cells(self, unit: str) -> tuple[str, ...]:
-        """The measured cells of a row."""
-        rate = f"{self.amount / self.wall_s:.3g} {unit}/s"
-        return f"{self.start_up_s:.1f}", f"{self.wall_s:.1f}", rate, f"{self.empty_call_s * 1e3:.2f}"
 
 
 class _Generation:
@@ -150,8 +134,8 @@ class _Runs:
 Work = _Generation | _Runs
 
 
-def _measured(way: str, work: Work) -> _Took:
-    """Open an executor by its name, call it without work, then let it do the work, and measure each."""
+def _measured(way: str, work: Work) -> tuple[float, float, float, str]:
+    """Seconds of an executor's start-up, of its work and of an empty call, and the digest of the work's results."""
     start = time.perf_counter()
     with WAYS[way](work.is_fresh) as workers:
         _call_empty(workers, (0, 0, 0), workers.num_places)
@@ -160,7 +144,7 @@ def _measured(way: str, work: Work) -> _Took:
         begun = time.perf_counter()
         sha256 = work.do(workers, way)
         wall_s = time.perf_counter() - begun
-    return _Took(ready - start, wall_s, work.amount, (begun - ready) / work.num_empty_calls, sha256)
+    return ready - start, wall_s, (begun - ready) / work.num_empty_calls, sha256
 
 
 def _call_empty(workers: Workers, shape: tuple[int, int, int], number: int) -> None:

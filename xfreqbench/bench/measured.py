@@ -127,16 +127,7 @@ def bench_measured(
         "receiver."
     )
     title = f"Measured power in {scene.name}, solver {settings.solver}"
-    columns = (
-        "model",
-        "RMSE dB",
-        "less multi-wall",
-        "in sight",
-        "not in sight",
-        "RMSE of local means",
-        "median error dB",
-        "r",
-    )
+    scores = "RMSE dB", "less multi-wall", "in sight", "not in sight", "RMSE of local means", "median error dB", "r"
     error_db = {
         name: np.where(
             fitted[:, None],
@@ -146,7 +137,7 @@ def bench_measured(
         for name, model_db in predicted.items()
     }
     beside_db = next(errors_db for name, errors_db in error_db.items() if name.startswith("multi-wall"))
-    with bench.table(title, note, columns) as table:
+    with bench.table(title, note, ("model", *scores)) as table:
         for name, errors_db in error_db.items():
             table.add(name, *_scores(errors_db, beside_db, power_db, walls == 0, cell, seed))
 

@@ -89,8 +89,14 @@ def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None
     from xfreqbench.tracing.sionna.plain import plain_channel
     from xfreqbench.tracing.sionna.scene import roomy_hash_table
 
+    asked = _empty_reference(scene)
+
+    def fault_of(file: Path) -> str | None:
+        differences = _differences(_read(file), asked)
+        return f"holds a reference of something else: {'; '.join(differences)}" if differences else None
+
     with sole_writer(path):
-        reference = _unfinished_reference(scene, path)
+        reference = _read(path) if require_own(path, fault_of) else asked
         if scene.scene is not None and np.isnan(reference.cfr).any():
             settings = replace(REFERENCE_SETTINGS, solver="image")
             tracer = tracer_of(scene, reference.carrier_hz.tolist(), settings)
@@ -100,24 +106,13 @@ def make_reference(scene: Scene, path: Path, progress: ProgressCallback) -> None
         total = reference.cfr.shape[0] * reference.cfr.shape[1]
         progress(total - len(missing), total)
         of = REFERENCE_SETTINGS
-        asked = of.named_interactions, of.max_depth, of.rays, of.seed
+        options = of.named_interactions, of.max_depth, of.rays, of.seed
         for done, (t, f) in enumerate(missing, start=total - len(missing) + 1):
             carrier_hz, tx_m = float(reference.carrier_hz[f]), reference.tx_position_m[t : t + 1]
             with roomy_hash_table():
-                reference.cfr[t, f] = plain_channel(scene, carrier_hz, tx_m, *asked)[0]
+                reference.cfr[t, f] = plain_channel(scene, carrier_hz, tx_m, *options)[0]
             _write_reference(path, reference)
             progress(done, total)
-
-
-def _unfinished_reference(scene: Scene, path: Path) -> Reference:
-    """The reference in the file, which may be unfinished, or an empty one if there is no file."""
-    asked = _empty_reference(scene)
-
-    def fault_of(file: Path) -> str | None:
-        differences = _differences(_read(file), asked)
-        return f"holds a reference of something else: {'; '.join(differences)}" if differences else None
-
-    return _read(path) if require_own(path, fault_of) else asked
 
 
 def _differences(stored: Reference, asked: Reference) -> list[str]:

@@ -49,7 +49,6 @@ def bench_render(bench: Bench, num_gaussians: Sequence[int], batch_sizes: Sequen
 
 
 def _tabulate_splatting(bench: Bench, num_gaussians: Sequence[int], batch_sizes: Sequence[int]) -> None:
-    """Print the time of splatting alone, for all combinations of numbers of Gaussians and batch sizes."""
     note = (
         f"Forward and backward, footprints given, all 90 × 360 directions, about {DIRECTIONS_PER_GAUSSIAN} "
         f"of them a Gaussian; ms a sample, numba and torch on {torch.get_num_threads()} threads. Dense: one sample in "

@@ -98,7 +98,6 @@ class _MeasuredSetting:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """A row of the table."""
         costs = self.label, f"{self.shoot_s:.2f}", f"{self.sample_ms:.2f}"
         return *costs, *map(str, self.errors), "met" if self.meets_bar else "missed"
 
@@ -131,7 +130,6 @@ def ladder(solvers: Sequence[str]) -> Iterator[Rung]:
 
 
 def _rungs(solver: SolverName, depths: Sequence[int], rays: Sequence[int]) -> Iterator[Rung]:
-    """The settings of one solver."""
     base = TraceSettings(solver, WITHOUT_DIFFRACTION)
     yield Rung(solver, "defaults", ("depth", "rays", "interactions"), base)
     for depth in depths:
@@ -241,7 +239,6 @@ def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> Non
 
 
 def _versions(solvers: Sequence[str]) -> dict[str, str]:
-    """Versions of the software of these solvers."""
     return {key: text for name in SOLVERS if name in solvers for key, text in software_versions(name).items()}
 
 
@@ -252,7 +249,6 @@ def _columns(reference: Reference) -> tuple[str, ...]:
 
 
 def _figure(points: Sequence[BenchPoint]) -> BenchFigure:
-    """The figure of error against time."""
     return BenchFigure(
         x_label="ms a sample, rays shot beforehand",
         y_label="median PSNR at the worst carrier, dB",
@@ -282,19 +278,17 @@ def bench_against_plain(bench: Bench, scene_name: str, num_tx: int | None, num_p
     if not 2 <= num_plain_tx <= most:
         raise XFreqBenchError(f"--plain-tx is {num_plain_tx}; give 2 to {most}, which the reference has.")
     bench.introduce()
-    pipelines = dict(_pipelines(scene, num_tx))  # first, because the plain way leaves things in memory
+    few, auto = min(num_tx or 64, 64), TraceSettings(interactions=WITHOUT_DIFFRACTION)
+    pipelines = {  # first, because the plain way leaves things in memory
+        "image": _measure_pipeline(scene, replace(auto, solver="image"), num_tx),
+        **{
+            f"price per carrier: {count}": _measure_pipeline(scene, auto, few, PAPER_CARRIERS_GHZ[:count])
+            for count in (1, 5, 10)
+        },
+        "sionna": _measure_pipeline(scene, replace(auto, solver="sionna"), few),
+    }
     plain = _tabulate_plain(bench, scene, reference, num_plain_tx)
     _tabulate_pipelines(bench, scene_name, pipelines, plain)
-
-
-def _pipelines(scene: Scene, num_tx: int | None) -> Iterator[tuple[str, tuple[float, tuple[str, ...]]]]:
-    """Costs of the full pipeline, by name, as `_measure_pipeline` returns them."""
-    few = min(num_tx or 64, 64)
-    auto = TraceSettings(interactions=WITHOUT_DIFFRACTION)
-    yield "image", _measure_pipeline(scene, replace(auto, solver="image"), num_tx)
-    for count in (1, 5, 10):
-        yield f"price per carrier: {count}", _measure_pipeline(scene, auto, few, PAPER_CARRIERS_GHZ[:count])
-    yield "sionna", _measure_pipeline(scene, replace(auto, solver="sionna"), few)
 
 
 def _tabulate_plain(bench: Bench, scene: Scene, reference: Reference, num_tx: int) -> list[_MeasuredSetting]:

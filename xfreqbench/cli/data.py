@@ -18,6 +18,8 @@ from xfreqbench.cli.options import (
     Quiet,
     app,
     example,
+    flag,
+    output_option,
     parse_carriers_hz,
     say,
     say_written,
@@ -32,11 +34,9 @@ from xfreqbench.units import PAPER_CARRIERS_GHZ
 def scenes(
     name: str | None = None,
     *,
-    toml: Annotated[
-        bool, Parameter(negative="", help="Print the TOML of the scene or family NAME, as a start for your own.")
-    ] = False,
-    schema: Annotated[bool, Parameter(negative="", help="Print the JSON Schema of scene files, for editors.")] = False,
-    family_schema: Annotated[bool, Parameter(negative="", help="Print the JSON Schema of family files.")] = False,
+    toml: Annotated[bool, flag("Print the TOML of the scene or family NAME, as a start for your own.")] = False,
+    schema: Annotated[bool, flag("Print the JSON Schema of scene files, for editors.")] = False,
+    family_schema: Annotated[bool, flag("Print the JSON Schema of family files.")] = False,
 ) -> None:
     """List the scenes, and the families of rooms, that ship with the toolkit."""
     import json
@@ -77,9 +77,7 @@ def generate(
     *,
     output: Output,
     options: Annotated[GenerateArguments, Parameter(name="*")] = GenerateArguments(),
-    dry_run: Annotated[
-        bool, Parameter(negative="", help="Print counts, size and a time estimate; write nothing.")
-    ] = False,
+    dry_run: Annotated[bool, flag("Print counts, size and a time estimate; write nothing.")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Trace a scene, or many drawn rooms, and write channels and power angular spectra to HDF5 files.
@@ -155,10 +153,9 @@ def info(
     ] = 0,
     statistics: Annotated[
         bool,
-        Parameter(
-            negative="",
-            help="Print path loss, spreads, K and mechanisms at each carrier, and those of 3GPP TR 38.901 and others. "
-            "They are of stored paths, or of 200 transmitters that are traced again.",
+        flag(
+            "Print path loss, spreads, K and mechanisms at each carrier, and those of 3GPP TR 38.901 and others. "
+            "They are of stored paths, or of 200 transmitters that are traced again."
         ),
     ] = False,
     seed: Annotated[int, Parameter(help="Seed that draws the samples to trace again.")] = 0,
@@ -206,9 +203,7 @@ def info(
 def plot(
     file: Path,
     *,
-    output: Annotated[
-        Path, Parameter(name=["--output", "-o"], help="Figure to write, which ends in .png, .svg or .pdf.")
-    ],
+    output: Annotated[Path, output_option("Figure to write, which ends in .png, .svg or .pdf.")],
     of: Annotated[
         Literal["maps", "power", "statistics"],
         Parameter(
@@ -248,7 +243,7 @@ def plot(
 def view(
     data_or_scene: str,
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for page, figures and model.")],
+    output: Annotated[Path, output_option("Folder for page, figures and model.")],
     tx: Annotated[int | None, Parameter(help="Index of the transmitter shown; default: one in the middle.")] = None,
     carrier: Annotated[
         float | None, Parameter(help="Carrier in GHz at which rays are drawn; default: the middle one.")

@@ -16,12 +16,15 @@ from xfreqbench.cli.options import (
     ScoredOnOption,
     app,
     example,
+    flag,
+    output_option,
     parse_targets_ghz,
     print_table,
     say,
     say_written,
 )
 from xfreqbench.errors import XFreqBenchError
+from xfreqbench.system.bars import progress_bars
 
 Convention = Annotated[
     str, Parameter(help="Convention of angles, values and array: a name from `xfreqbench import --conventions`.")
@@ -64,8 +67,6 @@ def import_(
         A folder with spectrum/00001.png, … of up to 1,000,000 pixels each, tx_pos.csv, gateway_info.yml and usually
         freq.txt; or a scenario of DeepMIMO v4, or a folder of scenarios at several carriers.
     """
-    from xfreqbench.system.bars import progress_bars
-
     if from_ == "deepmimo":
         if freq is not None or set_:
             raise XFreqBenchError("--set and --freq are for PNG maps; leave them out with --from deepmimo.")
@@ -110,7 +111,7 @@ def card(
     license_: Annotated[
         str, Parameter(name="--license", help="Licence of the data, as SPDX names it: CC-BY-4.0, CC0-1.0, ….")
     ],
-    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder to write, new or empty.")],
+    output: Annotated[Path, output_option("Folder to write, new or empty.")],
     quiet: Quiet = False,
 ) -> None:
     """Write a folder to publish: the data, a README card, Croissant metadata, checksums, a sample, its recipe.
@@ -130,9 +131,7 @@ def card(
 def export(
     data: Path,
     *,
-    output: Annotated[
-        Path, Parameter(name=["--output", "-o"], help="Folder to write, new or empty; for a table, a file.")
-    ],
+    output: Annotated[Path, output_option("Folder to write, new or empty; for a table, a file.")],
     to: Annotated[
         Literal["png", "deepmimo", "sionna-npz", "table", "datasets", "webdataset"],
         Parameter(
@@ -171,7 +170,6 @@ def export(
         raise XFreqBenchError("--power-dbm is for a table of powers; give --to table too, or leave it out.")
     if set_ and to != "png":
         raise XFreqBenchError(f"--set changes a convention of maps, and --to {to} has none; leave it out.")
-    from xfreqbench.system.bars import progress_bars
 
     counted = {"table": "links", "deepmimo": "carriers", "sionna-npz": "carriers"}.get(to, "maps")
     with progress_bars(counted, ["exporting"], quiet) as (progress,):
@@ -213,16 +211,13 @@ def split(
         Parameter(name=TARGETS, help="Held-out carriers in GHz, comma-separated, or `all`; default 2.4,24.25,77."),
     ] = None,
     on: ScoredOnOption = "test",
-    maps: Annotated[
-        bool, Parameter(negative="", help="Include the training maps, so that the method does not need the data set.")
-    ] = False,
+    maps: Annotated[bool, flag("Include the training maps, so that the method does not need the data set.")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Write a split file for a method that runs elsewhere: all that it may know of each split, and no tested map."""
     from xfreqbench.data.dataset import open_dataset
     from xfreqbench.data.splits import make_splits
     from xfreqbench.exchange.split_file import write_splits
-    from xfreqbench.system.bars import progress_bars
 
     targets_ghz, dataset = parse_targets_ghz(targets), open_dataset(data)
     splits = make_splits(dataset, protocol, targets_ghz, on)
@@ -252,7 +247,6 @@ def score(
     """
     from xfreqbench.exchange.score_file import score_file
     from xfreqbench.report.leaderboard.tables import Leaderboard
-    from xfreqbench.system.bars import progress_bars
 
     with progress_bars("maps", ["checking", "scoring"], quiet) as (checking, scoring):
         scored = score_file(predictions, data, results, method, checking, scoring)

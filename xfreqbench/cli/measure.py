@@ -9,13 +9,22 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from xfreqbench.cli.options import FREQS, Output, Quiet, bench, example, parse_carriers_hz, parse_whole_numbers, say
+from xfreqbench.cli.options import (
+    FREQS,
+    Output,
+    Quiet,
+    bench,
+    example,
+    flag,
+    output_option,
+    parse_carriers_hz,
+    parse_whole_numbers,
+    say,
+)
 from xfreqbench.errors import UnknownNameError, XFreqBenchError
+from xfreqbench.system.bars import progress_bars
 
-BenchOutput = Annotated[
-    Path | None,
-    Parameter(name=["--output", "-o"], help="File to append the tables to, as records for `xfreqbench report`."),
-]
+BenchOutput = Annotated[Path | None, output_option("File to append the tables to, as records for `xfreqbench report`.")]
 
 
 def _bench(name: str, output: Path | None, *arguments: str, kind: str | None = None, **options: object) -> Any:
@@ -41,7 +50,7 @@ def bench_generate(
     *,
     solvers: Annotated[str, Parameter(help="Comma-separated, of: image, sionna.")] = "image,sionna",
     against_plain: Annotated[
-        bool, Parameter(negative="", help="Compare the full pipeline's rate with one public PathSolver call a sample.")
+        bool, flag("Compare the full pipeline's rate with one public PathSolver call a sample.")
     ] = False,
     tx: Annotated[int | None, Parameter(help="Transmitters of the full pipeline; default all.")] = None,
     plain_tx: Annotated[int, Parameter(help="Transmitters of the PathSolver calls, 2 to 24.")] = 12,
@@ -162,7 +171,6 @@ def bench_measured(
     """
     from xfreqbench.bench.measured import bench_measured, read_measurement
     from xfreqbench.scene.model import load_scene
-    from xfreqbench.system.bars import progress_bars
     from xfreqbench.tracing.solvers import check_settings
     from xfreqbench.tracing.tracer import TraceSettings
 
@@ -188,7 +196,6 @@ def bench_reference(scene: str = "office", *, output: Output | None = None, quie
     """
     from xfreqbench.bench.reference import make_reference, reference_path
     from xfreqbench.scene.model import load_scene
-    from xfreqbench.system.bars import progress_bars
 
     loaded = load_scene(scene)
     path = output or reference_path(loaded.name)
@@ -222,7 +229,6 @@ def bench_fingerprint(
     """
     from xfreqbench.bench.fingerprints import make_fingerprint
     from xfreqbench.scene.model import load_scene
-    from xfreqbench.system.bars import progress_bars
 
     is_new = not output.exists()
     with progress_bars("transmitters", [f"fingerprint of {scene}"], quiet) as (progress,):

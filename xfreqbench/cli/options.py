@@ -76,11 +76,22 @@ GROUPS = DATA, RUN, RESULTS, EXCHANGE, ADVANCED, PLUGINS, _OTHERS = tuple(
 )
 bench = App(name="bench", help="Measure accuracy against time; every table names its machine.", group=ADVANCED)
 app.command(bench)
-for flag in ("--help", "--version"):
-    app[flag].group = _OTHERS
+for name in ("--help", "--version"):
+    app[name].group = _OTHERS
 app.register_install_completion_command(
     group=_OTHERS, help="Let bash, zsh or fish complete commands and options; prints which files it writes."
 )
+
+
+def output_option(text: str) -> Parameter:
+    """The option `--output`, or `-o`, with its help."""
+    return Parameter(name=["--output", "-o"], help=text)
+
+
+def flag(text: str) -> Parameter:
+    """An option without a value, and without a `--no-` form, with its help."""
+    return Parameter(negative="", help=text)
+
 
 FREQS, TARGETS, SEEDS = ("--freqs-ghz", "--freqs"), ("--targets-ghz", "--targets"), ("--seeds", "--seed")
 Freqs = Annotated[
@@ -95,7 +106,7 @@ Freqs = Annotated[
 Flag = Annotated[bool, Parameter(negative="")]
 Hidden = Annotated[Any, Parameter(parse=False)]
 Quiet = Annotated[bool, Parameter(name=["--quiet", "-q"], negative="", help="Print only errors.")]
-Output = Annotated[Path, Parameter(name=["--output", "-o"], help="File to write.")]
+Output = Annotated[Path, output_option("File to write.")]
 ScoredOnOption = Annotated[ScoredOn, Parameter(help=get_args(ScoredOn)[1].documentation)]
 
 

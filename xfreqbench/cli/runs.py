@@ -19,6 +19,8 @@ from xfreqbench.cli.options import (
     app,
     as_typed,
     example,
+    flag,
+    output_option,
     parse_targets_ghz,
     parse_whole_numbers,
     print_table,
@@ -27,6 +29,7 @@ from xfreqbench.cli.options import (
 )
 from xfreqbench.errors import XFreqBenchError
 from xfreqbench.runs.options import RunOptions
+from xfreqbench.system.bars import progress_bars
 
 Overrides = Annotated[
     tuple[str, ...],
@@ -85,12 +88,9 @@ def new_method(
     name: str,
     *,
     rooms: Annotated[
-        bool, Parameter(negative="", help="A method that learns across rooms, for unseen-rooms; else one of one room.")
+        bool, flag("A method that learns across rooms, for unseen-rooms; otherwise for one room.")
     ] = False,
-    output: Annotated[
-        Path | None,
-        Parameter(name=["--output", "-o"], help="Folder to write, absent or empty; named as the method if absent."),
-    ] = None,
+    output: Annotated[Path | None, output_option("Folder to write, new or empty; default: the method's name.")] = None,
     quiet: Quiet = False,
 ) -> None:
     """Write a package with a method that learns and its tests, for you to change.
@@ -132,25 +132,23 @@ class RunArguments(RunOptions):
 )
 def run(
     *,
-    data: Annotated[Path, Parameter(help="Data set, or for unseen-rooms collection, written by `generate`.")],
+    data: Annotated[Path, Parameter(help="Data set, or for unseen-rooms a collection, written by `generate`.")],
     method: Annotated[
         str,
         Parameter(
             name=["--methods", "--method"],
-            help="Names or package.module:Class, comma-separated; `all` for every installed one, those that learn "
-            "across rooms on protocols of rooms alone.",
+            help="Names or package.module:Class, comma-separated; `all` for every installed one. Methods that learn "
+            "across rooms run only on protocols of rooms.",
         ),
     ],
     options: Annotated[RunArguments, Parameter(name="*")],
     set_: Overrides = (),
-    dry_run: Annotated[
-        bool, Parameter(negative="", help="Print how many runs there are and their time; run none.")
-    ] = False,
+    dry_run: Annotated[bool, flag("Print how many runs there are and their time; run none.")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Fit methods on a protocol's training rows, store their predictions and score them.
 
-    A killed run goes on where it stopped, in mid-fit too.
+    The same command continues a killed run where it stopped, also in the middle of a fit.
     """
     from xfreqbench.data.unseen_rooms import ROOM_PROTOCOLS
     from xfreqbench.runs.estimate import estimate_runs
@@ -182,41 +180,40 @@ def benchmark(
         str,
         Parameter(
             help="quick: minutes; standard: as in BENCHMARK.md; ablations: methods without each of their parts; "
-            "converged: longer fits; carrier: whether xfreq-gs gains by being told the carrier; rooms: rooms that were "
-            "never seen; paper: the paper's experiments, and paper-lofo, paper-sparse, paper-ablation, paper-maps: one "
-            "of them; paper-size: its method as it is; equal-terms: its method and its two reductions with and without "
-            "aids."
+            "converged: longer fits; carrier: whether xfreq-gs gains from knowing the carrier; rooms: unseen rooms; "
+            "paper: the paper's experiments; paper-lofo, paper-sparse, paper-ablation, paper-maps: one of these; "
+            "paper-size: the paper's method as published; equal-terms: its method and its two reductions, with and "
+            "without aids."
         ),
     ] = "standard",
     data: Annotated[Path, Parameter(help="Folder of the data sets; those missing are generated.")] = Path("data"),
-    results: Annotated[Path | None, Parameter(help="Folder for all results; results/PRESET if absent.")] = None,
+    results: Annotated[Path | None, Parameter(help="Folder for all results; default: results/PRESET.")] = None,
     device: Annotated[
-        Literal["cpu", "cuda"], Parameter(help="cpu: one run a core; cuda: one run after the other.")
+        Literal["cpu", "cuda"], Parameter(help="cpu: one run per core; cuda: one run after the other.")
     ] = "cpu",
     executor: Annotated[
         str | None,
         Parameter(
-            help="serial: one run after the other; 4: as many processes here; dask://host:8786: workers of a cluster, "
-            "which generate the data too; a process a core if absent, or one for a GPU."
+            help="serial: one run after the other; 4: that many processes here; dask://host:8786: workers of a "
+            "cluster, which also generate the data. Default: one process per core, or one for a GPU."
         ),
     ] = None,
     predictions: Annotated[
         Literal["all", "shown"],
         Parameter(
-            help="Stored predictions that stay after they were scored: all, or those of the first seed in the first "
-            "scene, of which reports show maps. Records have the hash of what was removed."
+            help="Which predictions are kept after scoring: all, or those of the first seed in the first scene, whose "
+            "maps reports show. Records keep the hash of those that were removed."
         ),
     ] = "all",
-    dry_run: Annotated[bool, Parameter(negative="", help="Print what it would take; write nothing.")] = False,
+    dry_run: Annotated[bool, flag("Print the cost; write nothing.")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Run a whole benchmark: data sets, every run side by side, measurements, report.
 
-    It prints what it takes before it starts; interrupted or killed, the same command goes on.
+    It prints the cost before it starts. If it is interrupted or killed, the same command continues.
     """
     from xfreqbench.runs import benchmark as benchmarks
     from xfreqbench.runs.progress import run_bars
-    from xfreqbench.system.bars import progress_bars
     from xfreqbench.system.processes import open_workers
 
     planned = benchmarks.Benchmark(preset, data, results or Path("results") / preset, device, predictions)
@@ -250,22 +247,20 @@ def report(
     *,
     output: Annotated[
         Path | None,
-        Parameter(
-            name=["--output", "-o"],
-            help="Write the report here, with figures and tables of CSV beside it. Without it the report is printed, "
-            "with every metric.",
+        output_option(
+            "Write the report here, with figures and CSV tables next to it. Without it the report is printed, "
+            "with every metric."
         ),
     ] = None,
     html: Annotated[
         Path | None,
         Parameter(
-            help="Write one web page with charts and maps too, a single file, and beside it its tables as CSV and "
-            "as Parquet."
+            help="Also write a web page with charts and maps, in a single file, and its tables as CSV and Parquet next "
+            "to it."
         ),
     ] = None,
     details: Annotated[
-        Path | None,
-        Parameter(help="Make the report a short one; write a page for each scene and the measurements here."),
+        Path | None, Parameter(help="Keep the report short; write a page for each scene and for the measurements here.")
     ] = None,
     since: Annotated[
         str | None, Parameter(help="Earlier results, such as v1: print which methods got worse since, and what is new.")
@@ -273,13 +268,13 @@ def report(
     maps: Annotated[
         Path | None,
         Parameter(
-            help="Write maps of a dozen test samples of each board here, from stored predictions. Named X_maps.jsonl "
-            "beside records X.jsonl, they are shown where predictions are absent."
+            help="Write maps of a dozen test samples of each board here, from stored predictions. If the file is named "
+            "X_maps.jsonl, next to records X.jsonl, reports without predictions show these maps."
         ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Print or write the leaderboard, made from the records of results folders; without addresses, offline.
+    """Print or write the leaderboard, made from records of results folders; only addresses need a network.
 
     Only files that this command wrote are replaced.
 
@@ -313,7 +308,7 @@ def report(
     if output is not None and details is None:
         say("for a page of each scene, and the paper's tables beside ours, add --details FOLDER", quiet)
     if html is not None:
-        say(f"wrote {write_page(found, html, earlier)} and, beside it, its tables", quiet)
+        say(f"wrote {write_page(found, html, earlier)} and its tables next to it", quiet)
 
 
 @app.command(group=RESULTS, help_epilogue=example("compare results/before results/after"))

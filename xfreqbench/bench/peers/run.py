@@ -212,7 +212,9 @@ def _tabulate_growth(bench: Bench, seconds: float, limit_s: float) -> None:
         ):
             totals_s, exponent = dict[int, float](), "–"
             for number in numbers:
-                task = _task(varied, solver, number, seconds, limit_s)
+                size = {"triangles": TRIANGLES, "transmitters": NUM_TX, "carriers": 1, varied: number}
+                carriers_hz = tuple(np.linspace(1e9, 94e9, size["carriers"])) if size["carriers"] > 1 else CARRIERS_HZ
+                task = PeerTask(solver, size["triangles"], 3, size["transmitters"], seconds, carriers_hz, limit_s)
                 result = measured(task)
                 if result is None:  # what is greater would not end either
                     table.add(varied, solver, f"{number:,}", f"over {limit_s:g} in all", *["–"] * 4)
@@ -229,12 +231,3 @@ def _tabulate_growth(bench: Bench, seconds: float, limit_s: float) -> None:
         table.figure = BenchFigure(
             x_label="number", y_label="ms a transmitter", log_x=True, points=tuple(points), x_is_cost=False
         )
-
-
-def _task(varied: str, solver: str, number: int, seconds: float, limit_s: float) -> PeerTask:
-    triangles, num_tx, num_carriers = (
-        number if varied == name else default
-        for name, default in (("triangles", TRIANGLES), ("transmitters", NUM_TX), ("carriers", 1))
-    )
-    carriers_hz = tuple(np.linspace(1e9, 94e9, num_carriers)) if num_carriers > 1 else CARRIERS_HZ
-    return PeerTask(solver, triangles, 3, num_tx, seconds, carriers_hz, limit_s)

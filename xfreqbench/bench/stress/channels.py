@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -23,6 +24,9 @@ CARRIERS_GHZ = (1.0, 2.4, 10.0, 24.25, 60.0, 94.0)
 PI = 4 * np.arctan(np.longdouble(1))
 LIGHT_M_S = np.longdouble(SPEED_OF_LIGHT_M_S)
 RECEIVER = ReceiverArray(position_m=(0.0, 0.0, 2.0))
+THREE_HZ = [ghz_to_hz(ghz) for ghz in (1.0, 24.25, 94.0)]
+SINGLE = replace(RECEIVER, rows=1, cols=1)  # an array of one element
+HEIGHT_M = RECEIVER.position_m[2]
 SETTINGS = TraceSettings(interactions=WITHOUT_DIFFRACTION, solver="image", rays=1000)
 _VACUUM_PERMEABILITY_H_M = 1.25663706212e-6  # CODATA 2018
 _LENGTHS_M = np.geomspace(0.1, 100, 200)
@@ -61,7 +65,7 @@ def _plane_wave_phase(carrier_ghz: float) -> float:
 
 def _horizontal_m() -> NDArray[np.float64]:
     """Positions of transmitters in the array's plane, where the antennas of both ends are parallel, (T, 3)."""
-    height_m = np.full_like(_LENGTHS_M, RECEIVER.position_m[2])
+    height_m = np.full_like(_LENGTHS_M, HEIGHT_M)
     return np.stack([0.8 * _LENGTHS_M, 0.6 * _LENGTHS_M, height_m], axis=1)
 
 
@@ -97,8 +101,7 @@ def _image_amplitude() -> float:
 @PHASE.case("two carriers 1 Hz apart over 100 m", limit=_PHASE_LIMIT, unit="rad")
 def _one_hertz_apart() -> float:
     carriers, length_m = [24.25e9, 24.25e9 + 1], 100.0
-    receiver = ReceiverArray(position_m=(0.0, 0.0, 2.0), rows=1, cols=1)
-    tracer = ImageTracer(free_space(receiver), carriers, SETTINGS)
+    tracer = ImageTracer(free_space(SINGLE), carriers, SETTINGS)
     low, high = tracer.channel(np.array([[length_m, 0.0, 2.0]])).cfr[0, :, 0]
     return float(abs(np.angle(high / low) + 2 * np.pi * length_m / SPEED_OF_LIGHT_M_S))
 

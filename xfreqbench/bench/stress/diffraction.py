@@ -9,18 +9,15 @@ import numpy as np
 from scipy.special import wofz
 
 from xfreqbench.bench.stress.case import Area
-from xfreqbench.bench.stress.channels import RECEIVER, free_space
+from xfreqbench.bench.stress.channels import HEIGHT_M, SINGLE, THREE_HZ, free_space
 from xfreqbench.scene.materials import SceneMaterial
 from xfreqbench.scene.model import ReceiverArray, Surface
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import NDArray
-from xfreqbench.units import SPEED_OF_LIGHT_M_S, ghz_to_hz
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 DIFFRACTION = Area("diffraction")
-_CARRIERS_HZ = [ghz_to_hz(ghz) for ghz in (1.0, 24.25, 94.0)]
-_ONE = replace(RECEIVER, rows=1, cols=1)
-_HEIGHT_M = RECEIVER.position_m[2]
 _SETTINGS = TraceSettings(
     solver="image", interactions=("specular", "refraction", "diffraction"), rays=2000, max_depth=2
 )
@@ -30,8 +27,8 @@ _BESIDE_LIMIT = 1e-5  # a nanometre at 94 GHz turns the phase by 2e-6
 
 def _channels(surfaces: tuple[Surface, ...], tx_m: Sequence[tuple[float, ...]]) -> NDArray[np.complex128]:
     """Channels at three carriers, all paths over edges among them, (T, F)."""
-    scene = replace(free_space(_ONE), surface=surfaces)
-    tracer = ImageTracer(scene, _CARRIERS_HZ, _SETTINGS, ImageSavings(diffraction_floor=0.0))
+    scene = replace(free_space(SINGLE), surface=surfaces)
+    tracer = ImageTracer(scene, THREE_HZ, _SETTINGS, ImageSavings(diffraction_floor=0.0))
     return tracer.channel(np.array(tx_m)).cfr[..., 0]
 
 
@@ -51,8 +48,8 @@ def _largest_step(channels: NDArray[np.complex128]) -> float:
 )
 def _boundary(material: str, side: float) -> float:
     """Channels on the line from the receiver, or its image, over an edge, and a nanometre above and below it."""
-    screen = Surface("screen", material, 0.01, (1.0, -9.0, -9.0), (1.0, 9.0, _HEIGHT_M - 0.5))
-    tx_m = [(1.0 + side, 0.0, _HEIGHT_M - 1.5 + beside) for beside in (0.0, *_BESIDE_M)]
+    screen = Surface("screen", material, 0.01, (1.0, -9.0, -9.0), (1.0, 9.0, HEIGHT_M - 0.5))
+    tx_m = [(1.0 + side, 0.0, HEIGHT_M - 1.5 + beside) for beside in (0.0, *_BESIDE_M)]
     return _largest_step(_channels((screen,), tx_m))
 
 
@@ -87,10 +84,10 @@ def _astride(side: float) -> float:
     metal = SceneMaterial(name="conductor", relative_permittivity=1.0, conductivity_s_m=1e9)
     screen = Surface("screen", metal.name, 0.01, (0.0, 0.0, -900.0), (0.0, 900.0, 900.0))
     scene = replace(free_space(receiver), surface=(screen,), material=(metal,))
-    tracer = ImageTracer(scene, _CARRIERS_HZ, _SETTINGS, ImageSavings(diffraction_floor=0.0))
+    tracer = ImageTracer(scene, THREE_HZ, _SETTINGS, ImageSavings(diffraction_floor=0.0))
     tx_m = np.array([-side, 0.0, 2.0])
     found, errors = tracer.channel(tx_m[None]).cfr[0], []
-    for row, carrier_hz in zip(found, _CARRIERS_HZ, strict=True):
+    for row, carrier_hz in zip(found, THREE_HZ, strict=True):
         element_m = receiver.element_position_m(SPEED_OF_LIGHT_M_S / carrier_hz)
         expected = _beside_a_half_plane(tx_m, element_m, carrier_hz)
         errors.append((np.abs(row - expected) * 4 * np.pi * 4.5).max() * carrier_hz / SPEED_OF_LIGHT_M_S)

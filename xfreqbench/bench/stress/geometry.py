@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from xfreqbench.bench.stress.case import Area
-from xfreqbench.bench.stress.channels import CARRIERS_GHZ, RECEIVER, free_space, friis, wave
+from xfreqbench.bench.stress.channels import CARRIERS_GHZ, HEIGHT_M, SINGLE, THREE_HZ, free_space, friis, wave
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh
@@ -21,13 +21,9 @@ from xfreqbench.types import FloatArray, IntArray, NDArray
 from xfreqbench.units import SPEED_OF_LIGHT_M_S, ghz_to_hz
 
 GEOMETRY = Area("geometry")
-_CARRIERS_HZ = [ghz_to_hz(ghz) for ghz in (1.0, 24.25, 94.0)]
-_ONE = replace(RECEIVER, rows=1, cols=1)
-_HEIGHT_M = RECEIVER.position_m[2]
 _SETTINGS = TraceSettings(interactions=WITHOUT_DIFFRACTION, solver="image", rays=2000, max_depth=1)
 _LIMIT = 2e-9  # the phase's 5e-10 rad, in the sum of two or three paths
-_RECEIVER = replace(RECEIVER, rows=1, cols=1, polarization="H")
-_TWO_DEEP = TraceSettings(interactions=WITHOUT_DIFFRACTION, solver="image", rays=2000, max_depth=2)
+_HORIZONTAL = replace(SINGLE, polarization="H")
 
 
 def _channel(
@@ -35,7 +31,7 @@ def _channel(
 ) -> NDArray[np.complex128]:
     """Channel of one transmitter at three carriers, (F, M)."""
     scene = replace(free_space(receiver), surface=surfaces)
-    return ImageTracer(scene, _CARRIERS_HZ, _SETTINGS).channel(np.array([tx_m])).cfr[0]
+    return ImageTracer(scene, THREE_HZ, _SETTINGS).channel(np.array([tx_m])).cfr[0]
 
 
 def fresnel_slab(
@@ -62,7 +58,7 @@ def largest_error(found: NDArray[np.complex128], expected: list[complex], length
     """Largest error over the carriers of a channel, relative to the amplitude of a lone path of that length."""
     errors = [
         abs(row[0] - value) / abs(ray(length_m, carrier_hz))
-        for row, value, carrier_hz in zip(found, expected, _CARRIERS_HZ, strict=True)
+        for row, value, carrier_hz in zip(found, expected, THREE_HZ, strict=True)
     ]
     return float(max(errors))
 
@@ -74,13 +70,13 @@ def _grazing() -> float:
     Horizontal antennas see TE alone.
     """
     floor = Surface("floor", "concrete", 0.2, (-50.0, -50.0, 0.0), (150.0, 50.0, 0.0))
-    receiver = replace(_ONE, position_m=(0.0, 0.0, 0.05), polarization="H")
+    receiver = replace(_HORIZONTAL, position_m=(0.0, 0.0, 0.05))
     found = _channel((floor,), receiver, (100.0, 0.0, 0.05))
     bounce_m = np.hypot(np.longdouble(100), np.longdouble(0.1))
     cosine = float(0.1 / bounce_m)
     expected = [
         -ray(100.0, f) - fresnel_slab("concrete", 0.2, f, cosine)[0] * ray(bounce_m, f)  # φ̂ turns with the ray
-        for f in _CARRIERS_HZ
+        for f in THREE_HZ
     ]
     return largest_error(found, expected, 100.0)
 
@@ -93,9 +89,9 @@ def _grazing() -> float:
 def _edge(material: str) -> float:
     """A ray exactly along the edge of a screen passes by it, through it or not at all, with nothing in between."""
     screen = Surface("screen", material, 0.02, (2.0, 0.0, -9.0), (2.0, 9.0, 9.0))
-    found = _channel((screen,), _ONE, (4.0, 0.0, _HEIGHT_M))
-    free = [ray(4.0, f) for f in _CARRIERS_HZ]
-    behind = [fresnel_slab(material, 0.02, f, 1.0)[2] * alone for f, alone in zip(_CARRIERS_HZ, free, strict=True)]
+    found = _channel((screen,), SINGLE, (4.0, 0.0, HEIGHT_M))
+    free = [ray(4.0, f) for f in THREE_HZ]
+    behind = [fresnel_slab(material, 0.02, f, 1.0)[2] * alone for f, alone in zip(THREE_HZ, free, strict=True)]
     opaque = [0j] * len(free)
     return min(largest_error(found, expected, 4.0) for expected in (free, behind, opaque))
 
@@ -104,11 +100,10 @@ def _edge(material: str) -> float:
 def _border() -> float:
     """A reflection exactly at the border of a floor is either there or not."""
     floor = Surface("floor", "concrete", 0.2, (-9.0, -9.0, 0.0), (1.5, 9.0, 0.0))
-    receiver = replace(_ONE, polarization="H")
-    found = _channel((floor,), receiver, (3.0, 0.0, _HEIGHT_M))
-    lone = [-ray(3.0, f) for f in _CARRIERS_HZ]
+    found = _channel((floor,), _HORIZONTAL, (3.0, 0.0, HEIGHT_M))
+    lone = [-ray(3.0, f) for f in THREE_HZ]
     bounce_m = np.hypot(np.longdouble(3), np.longdouble(4))
-    bounce = [-fresnel_slab("concrete", 0.2, f, float(4 / bounce_m))[0] * ray(bounce_m, f) for f in _CARRIERS_HZ]
+    bounce = [-fresnel_slab("concrete", 0.2, f, float(4 / bounce_m))[0] * ray(bounce_m, f) for f in THREE_HZ]
     both = [direct + reflected for direct, reflected in zip(lone, bounce, strict=True)]
     return min(largest_error(found, expected, 3.0) for expected in (lone, both))
 
@@ -120,11 +115,11 @@ def _unfolded() -> float:
     plates = tuple(
         Surface(name, "metal", 0.01, (-20.0, -60.0, z), (120.0, 60.0, z)) for name, z in (("low", 0.0), ("high", 4.0))
     )
-    scene = replace(free_space(_ONE), surface=plates)
+    scene = replace(free_space(SINGLE), surface=plates)
     tracer = ImageTracer(scene, [94e9], replace(_SETTINGS, max_depth=5, rays=200_000))
     paths = tracer.paths(np.array([100.0, 0.0, 1.0]))
     images_m = [8.0 * turn + side * 1.0 for turn in range(-3, 4) for side in (1, -1)]
-    lengths_m = {float(np.hypot(np.longdouble(100), np.longdouble(z - _HEIGHT_M))) for z in images_m}
+    lengths_m = {float(np.hypot(np.longdouble(100), np.longdouble(z - HEIGHT_M))) for z in images_m}
     nearest = [min(abs(delay * SPEED_OF_LIGHT_M_S - length) for length in lengths_m) for delay in paths.delay_s]
     reflections = (paths.interactions == SPECULAR).sum(axis=1)
     assert sorted(reflections) == [0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5], f"reflections a path: {sorted(reflections)}"
@@ -175,12 +170,11 @@ def _cut_floor() -> float:
     vertices_m = np.array([-0.1, -0.7, 0.0]) + place @ np.stack([along, across])
     floor = SurfaceMesh("floor", "concrete", 0.2, vertices_m, triangles, least_patch=PatchSize())
     normal = np.cross(along, across) / np.linalg.norm(np.cross(along, across))
-    here, tx_m = np.array(_RECEIVER.position_m), np.array([1.1, 0.0, 1.6])  # whose φ̂ are parallel
+    here, tx_m = np.array(_HORIZONTAL.position_m), np.array([1.1, 0.0, 1.6])  # whose φ̂ are parallel
     image_m = here - 2 * (here - vertices_m[0]) @ normal * normal
     length_m, direct_m = float(np.linalg.norm(tx_m - image_m)), float(np.linalg.norm(tx_m - here))
     cosine = abs((tx_m - image_m) @ normal) / length_m
-    expected = [
-        -ray(direct_m, f) - fresnel_slab("concrete", 0.2, f, cosine)[0] * ray(length_m, f) for f in _CARRIERS_HZ
-    ]
-    tracer = ImageTracer(free_space(_RECEIVER), _CARRIERS_HZ, _TWO_DEEP, geometry=Geometry([floor]))
+    expected = [-ray(direct_m, f) - fresnel_slab("concrete", 0.2, f, cosine)[0] * ray(length_m, f) for f in THREE_HZ]
+    settings = replace(_SETTINGS, max_depth=2)
+    tracer = ImageTracer(free_space(_HORIZONTAL), THREE_HZ, settings, geometry=Geometry([floor]))
     return largest_error(tracer.channel(tx_m[None]).cfr[0], expected, direct_m)

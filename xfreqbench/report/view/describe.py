@@ -28,7 +28,12 @@ def describe(path: Path) -> str:
     in_sight = str(len(lit)) if header.channels else "unknown number"
     num_places = len(np.unique(place_index(dataset)))
     at_places = f" at {num_places} places" if num_places < header.num_tx else ""
-    links = links_in_words(dataset)
+    links, paths = links_in_words(dataset), []
+    if header.paths:
+        step = max(1, len(dataset.file_header.receivers))
+        of_each = np.diff(dataset.tables[OFFSET])[dataset.file_header.link(*dataset.link)[0] :: step]
+        median = f"{np.median(of_each):.0f} a transmitter in the median"
+        paths = [f"paths      {of_each.sum():,} to the array's centre, {median}"]
     lines = [
         f"{path}: scene {header.scene_name!r}, {header.num_tx} transmitters{at_places} ({in_sight} in sight of "
         f"the receiver) × {dataset.header.num_carriers} carriers",
@@ -39,7 +44,7 @@ def describe(path: Path) -> str:
         f"maps       {header.pas_kind}, {'stored' if header.maps else 'derived from the channels when read'}, "
         f"{dataset.grid.shape[0]} elevations × {dataset.grid.shape[1]} azimuths"
         f"{'' if receiver.resolves_directions else '; nearly constant, for the array has hardly any extent'}",
-        *_paths_line(dataset),
+        *paths,
         "settings   " + ", ".join(f"{name} {_in_words(value)}" for name, value in header.settings.items()),
         "software   " + ", ".join(f"{name} {version}" for name, version in header.software.items()),
         *([f"references {header.references}"] if header.references else []),
@@ -49,7 +54,16 @@ def describe(path: Path) -> str:
         "",
         "carrier      without path   median paths   peak power median (dB)",
     ]
-    return "\n".join(lines + _carrier_lines(dataset))
+    for carrier, carrier_hz in enumerate(header.carrier_hz):
+        peak_power = dataset.tables["peak_power"][:, carrier]
+        heard = peak_power[peak_power > 0]
+        num_paths, median_db = "unknown", "unknown"
+        if header.channels:
+            num_paths = f"{np.median(dataset.tables['num_paths'][:, carrier]):.0f}"
+            median_db = f"{10 * np.log10(np.median(heard)):.1f}" if len(heard) else "none"
+        silent = len(peak_power) - len(heard)
+        lines.append(f"{format_ghz(carrier_hz):12} {silent:12} {num_paths:>14}   {median_db:>22}")
+    return "\n".join(lines)
 
 
 def links_in_words(dataset: PasDataset) -> str:
@@ -62,26 +76,6 @@ def _in_words(setting: Any) -> str:
     if isinstance(setting, list | tuple) and all(isinstance(item, str) for item in setting):
         return "+".join(setting) or "none"
     return str(setting)
-
-
-def _paths_line(dataset: PasDataset) -> list[str]:
-    """How many paths are stored; nothing where there are none."""
-    if not dataset.header.paths:
-        return []
-    header = dataset.file_header
-    of_each = np.diff(dataset.tables[OFFSET])[header.link(*dataset.link)[0] :: max(1, len(header.receivers))]
-    return [f"paths      {of_each.sum():,} to the array's centre, {np.median(of_each):.0f} a transmitter in the median"]
-
-
-def _carrier_lines(dataset: PasDataset) -> list[str]:
-    lines, is_known = [], dataset.header.channels
-    for carrier, carrier_hz in enumerate(dataset.header.carrier_hz):
-        peak_power = dataset.tables["peak_power"][:, carrier]
-        heard = peak_power[peak_power > 0]
-        paths = f"{np.median(dataset.tables['num_paths'][:, carrier]):.0f}" if is_known else "unknown"
-        median_db = (f"{10 * np.log10(np.median(heard)):.1f}" if len(heard) else "none") if is_known else "unknown"
-        lines.append(f"{format_ghz(carrier_hz):12} {len(peak_power) - len(heard):12} {paths:>14}   {median_db:>22}")
-    return lines
 
 
 @dataclass(frozen=True, eq=False)

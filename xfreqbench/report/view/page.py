@@ -158,15 +158,8 @@ def _facts(view: ViewPlan) -> dict[str, str]:
 
 
 def _material_table(view: ViewPlan) -> PageTable:
-    header = (
-        "material",
-        "thickness (mm)",
-        "surfaces",
-        "P.2040 bands (GHz)",
-        "outside them",
-        f"ε′, {format_ghz(view.carrier_hz)}",
-        "σ (S/m)",
-    )
+    header = "material", "thickness (mm)", "surfaces", "P.2040 bands (GHz)", "outside them"
+    of_carrier = f"ε′, {format_ghz(view.carrier_hz)}", "σ (S/m)"
     carriers = view.header.carrier_hz.tolist() if view.dataset else [view.carrier_hz]
     rows = []
     every = [(slab, layer) for slab in slabs_of(view.room.meshes) for layer in slab.layers]
@@ -187,7 +180,7 @@ def _material_table(view: ViewPlan) -> PageTable:
             f"{sigma_s_m:,.0f}" if sigma_s_m > 1000 else f"{sigma_s_m:.3g}",
         )
         rows.append(cells)
-    return PageTable(header, rows)
+    return PageTable((*header, *of_carrier), rows)
 
 
 def _carrier_table(summary: CarrierSummary) -> PageTable:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -54,7 +54,8 @@ def write_view(view: ViewPlan, folder: Path, tell: Callable[[str], None] = lambd
     summary = summarize(view.dataset) if view.dataset else None
     with tempfile.TemporaryDirectory() as scratch:
         tell("drawing the room, its rays and maps")
-        drawn = dict(_drawn(view, summary, Path(scratch)))
+        _draw(view, summary, Path(scratch))
+        drawn = {path.name: path.read_bytes() for path in (Path(scratch) / name for name in FILES) if path.exists()}
         page = view_page(view, summary, _pictures(view, summary, Path(scratch)), MODEL, MAPS)
     write_text(folder / PAGE, page)  # before the others, because it names the data set that they belong to
     for name, content in drawn.items():
@@ -114,8 +115,8 @@ def _pictures(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> 
     return found
 
 
-def _drawn(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> Iterator[tuple[str, bytes]]:
-    """Names and contents of all files but the page."""
+def _draw(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> None:
+    """Write all files but the page."""
     room_model(view.room).write(scratch / MODEL)
     plot_room(view.room, scratch / ROOM)
     if view.dataset and summary:
@@ -126,6 +127,3 @@ def _drawn(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> Ite
         plot_pas_maps(maps, dataset.grid, titles, scratch / MAPS)
         plot_overview(view.room, maps, dataset.grid, titles, scratch / OVERVIEW)
         plot_carriers(summary, scratch / CARRIERS)
-    for name in FILES:
-        if (scratch / name).exists():
-            yield name, (scratch / name).read_bytes()
