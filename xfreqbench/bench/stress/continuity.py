@@ -19,6 +19,7 @@ from xfreqbench.units import SPEED_OF_LIGHT_M_S, ghz_to_hz
 CONTINUITY = Area("continuity")
 _CARRIERS_GHZ = np.array([2.4, 24.25, 77.0])
 _STEP_M = 1e-4
+NUM_STEPS = 1000
 
 
 def jumps(scene: Scene, num_steps: int, max_depth: int = 6) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -55,8 +56,8 @@ def jumps(scene: Scene, num_steps: int, max_depth: int = 6) -> tuple[NDArray[np.
     unit="relative",
 )
 def _largest_jump(name: str) -> tuple[float, str]:
-    """The largest jump of 1,000 steps, and the three worst places."""
-    jump, tx_m = jumps(load_scene(name), 1000)
+    """The largest jump of all steps, and the three worst places."""
+    jump, tx_m = jumps(load_scene(name), NUM_STEPS)
     worst = np.argsort(-jump.max(axis=1))[:3]
     places = [
         f"{jump[i].max():.0e} at {_CARRIERS_GHZ[jump[i].argmax()]:g} GHz, {', '.join(f'{x:.4f}' for x in tx_m[i])} m"
