@@ -47,7 +47,7 @@ def test_the_table_of_settings_is_recorded_with_its_figure(tmp_path: Path, monke
 
 
 def test_a_number_of_plain_transmitters_is_checked_before_anything_is_traced(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(convergence, "_pipelines", lambda *_: 1 / 0)
+    monkeypatch.setattr(convergence, "_measure_pipeline", lambda *_: 1 / 0)
     for number in ("1", "25"):
         outcome = xfreqbench("bench", "generate", "office", "--against-plain", "--plain-tx", number)
         assert outcome.code == 2
