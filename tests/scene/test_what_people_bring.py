@@ -190,7 +190,7 @@ def test_a_plan_tells_how_a_scene_scatters() -> None:
     table = rough_wood(coefficient=0.3, pattern="directive", alpha_r=4)
     scene = parse_scene(f'name = "test"\n{PLACES}{table}{FOAM.replace("foam", "wood")}')
     without = plan_generation(scene, [1e9], maps=False)
-    assert without.settings.solver == "image"
+    assert without.tracing.settings.solver == "image"
     assert "scattering: wood (S 0.3, directive), but the interaction diffuse is not traced" in without.summary
     settings = TraceSettings(interactions=("specular", "diffuse"), rays=1000)
     traced = plan_generation(scene, [1e9], settings, maps=False)

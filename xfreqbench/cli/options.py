@@ -62,7 +62,7 @@ app = App(
     name="xfreqbench",
     error_formatter=_refusal,
     help="How well does a radiance-field method predict channels at carriers it was never trained on?"
-    + (" PYTHONOPTIMIZE=2 (python -OO) removes the help of the commands." if sys.flags.optimize > 1 else ""),
+    + (" PYTHONOPTIMIZE=2 (python -OO) leaves out the help of the commands." if sys.flags.optimize > 1 else ""),
     suppress_keyboard_interrupt=False,
     default_parameter=Parameter(negative_iterable=(), converter=_typed),  # no --empty-set for --set
 )
