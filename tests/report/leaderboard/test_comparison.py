@@ -163,16 +163,20 @@ def test_seeds_that_scatter_widen_the_interval() -> None:
     assert widths["scattered"] > 1.3 * widths["steady"]  # seeds scatter by 0.03, the median of places by 0.01
 
 
+def level_methods(number: int, trial: int) -> list[RunRecord]:
+    """Three seeds each of methods that are equally good, and scatter."""
+    shifts = np.random.default_rng(trial).normal(0, 0.03, (number, 3))
+    return [
+        scored(f"method {which}", samples(float(shift), 1000 * trial + 10 * which + seed), seed)
+        for which, of_method in enumerate(shifts)
+        for seed, shift in enumerate(of_method)
+    ]
+
+
 def test_methods_that_are_level_are_seldom_told_apart_by_three_seeds_that_scatter() -> None:
     num_told_apart, num_trials = 0, 50
     for trial in range(num_trials):
-        shifts = np.random.default_rng(trial).normal(0, 0.03, (2, 3))
-        records = [
-            scored(f"method {which}", samples(float(shift), 1000 * trial + 10 * which + seed), seed)
-            for which, of_method in enumerate(shifts)
-            for seed, shift in enumerate(of_method)
-        ]
-        comparison, row = compared(*records)
+        comparison, row = compared(*level_methods(2, trial))
         num_told_apart += sum(comparison.beats(one, other) for one in row.values() for other in row.values())
     assert num_told_apart / num_trials < 0.12  # nominally 0.05; 0.14 where deviations are not widened
 
@@ -181,13 +185,7 @@ def test_among_many_equal_methods_few_pairs_are_told_apart() -> None:
     """Of 45 pairs two would be, if each were looked at alone."""
     num_told_apart, num_alone, num_trials = 0, 0, 20
     for trial in range(num_trials):
-        shifts = np.random.default_rng(trial).normal(0, 0.03, (10, 3))
-        records = [
-            scored(f"method {which}", samples(float(shift), 1000 * trial + 10 * which + seed), seed)
-            for which, of_method in enumerate(shifts)
-            for seed, shift in enumerate(of_method)
-        ]
-        comparison, row = compared(*records)
+        comparison, row = compared(*level_methods(10, trial))
         pairs = [(one, other) for one in row.values() for other in row.values() if one is not other]
         num_told_apart += any(comparison.beats(*pair) for pair in pairs)
         num_alone += any(comparison.difference(*pair)[0] > 0 for pair in pairs)
