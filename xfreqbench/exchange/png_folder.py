@@ -152,7 +152,7 @@ def read_png_folder(folder: Path, convention: Convention, carrier_ghz: float | N
     digest = hashlib.sha256()
     for path in (folder / POSITIONS, folder / CARRIERS, folder / RECEIVER, *paths):
         if path.exists():
-            with path.open("rb") as file:
+            with require_regular(path).open("rb") as file:
                 digest.update(hashlib.file_digest(file, "sha256").digest())
     return PngFolder(
         folder=folder,
