@@ -17,8 +17,8 @@ from xfreqbench.report.leaderboard.results import RankedResults
 from xfreqbench.runs.records import RunRecord
 
 CLAIM = "XFreq-GS is better than GSRF (0.9098 against 0.7235)"
-TOLD = {"sees_carrier": True, "footprint": "projected"}
-BLIND = {"sees_carrier": False, "latent": 0, "footprint": "projected"}
+BLIND = ("sees_carrier=false", "latent=0")
+CIRCLES = ("footprint=circular", "max_spread=1", "angular_size_deg=8")
 
 
 def page_of(*records: RunRecord) -> tuple[str, dict]:
@@ -44,10 +44,10 @@ def below(text: str, row: str, words: str) -> dict[str, str]:
     return dict(zip(header, found, strict=True))
 
 
-def fitted(method: str, shift: float, **changes: object) -> list[RunRecord]:
-    """Three seeds in the lane quick, better than others by `shift`."""
+def fitted(method: str, shift: float, *overrides: str) -> list[RunRecord]:
+    """Three seeds in the lane quick, with options, better than others by `shift`."""
     return [
-        with_job(record, budget=BUDGETS["quick"]).model_copy(update=changes)
+        with_job(record, budget=BUDGETS["quick"], overrides=overrides)
         for record in of_three_seeds(method, shift, len(method))
     ]
 
@@ -57,29 +57,27 @@ QUICK, AS_IT_IS = "xfreq-gs with our aids, 64,000 maps", "xfreq-gs-paper, 200,00
 
 @pytest.mark.parametrize(("shift", "verdict"), [(0.05, "holds"), (-0.05, "does not hold"), (0.0, "open")])
 def test_a_claim_holds_only_where_the_whole_interval_says_so(shift: float, verdict: str) -> None:
-    (row,) = rows_of(claims(*fitted("xfreq-gs", shift, config=TOLD), *fitted("gsrf", 0.0)), CLAIM)
+    (row,) = rows_of(claims(*fitted("xfreq-gs", shift), *fitted("gsrf", 0.0)), CLAIM)
     assert bool(row["why not"]) == (verdict != "holds")
     assert row[QUICK].endswith(f" at 24.25GHz: {verdict}")
     assert row[AS_IT_IS] == "–"
 
 
 def test_a_claim_of_one_seed_has_no_verdict_and_without_measurements_there_is_no_table() -> None:
-    one = claims(fitted("xfreq-gs", 0.0, config=TOLD)[0], *fitted("gsrf", 0.0))
+    one = claims(fitted("xfreq-gs", 0.0)[0], *fitted("gsrf", 0.0))
     assert rows_of(one, CLAIM)[0][QUICK].endswith("too few seeds")
-    assert not claims(*fitted("xfreq-gs", 0.0, config=TOLD))
+    assert not claims(*fitted("xfreq-gs", 0.0))
 
 
 def test_the_method_as_the_paper_has_it_is_judged_beside_the_aided_one() -> None:
-    found = {method: fitted(method, shift, config=TOLD) for method, shift in (("xfreq-gs-paper", 0.05), ("gsrf", 0.0))}
+    found = {method: fitted(method, shift) for method, shift in (("xfreq-gs-paper", 0.05), ("gsrf", 0.0))}
     slow = [with_job(record, budget=BUDGETS["converged"]) for records in found.values() for record in records]
     row = rows_of(claims(*slow, *fitted("xfreq-gs", 0.0)), CLAIM)[0]
     assert row[AS_IT_IS].endswith("holds") and row[QUICK] == "–"
 
 
 def test_an_ablation_is_compared_with_the_plain_method_and_not_with_another_ablation() -> None:
-    blind = fitted("xfreq-gs", -0.05, config=BLIND)
-    blind = [with_job(record, overrides=("sees_carrier=false", "latent=0")) for record in blind]
-    records = [*blind, *fitted("xfreq-gs", 0.0, config=TOLD)]
+    records = [*fitted("xfreq-gs", -0.05, *BLIND), *fitted("xfreq-gs", 0.0)]
     text, _ = page_of(*records)
     claim = "XFreq-GS is better with frequency modulation than without (0.9278 against 0.8977)"
     assert rows_of(claims(*records), claim)[0][QUICK].endswith("holds")
@@ -91,18 +89,30 @@ def test_an_ablation_is_compared_with_the_plain_method_and_not_with_another_abla
     assert not rows_of(text, "GSRF")  # none of ours
 
 
-def test_a_claim_on_an_ablation_that_changes_more_than_it_says_is_open() -> None:
-    circles = fitted("xfreq-gs", -0.05, config={"sees_carrier": True, "footprint": "circular"})
-    circles = [with_job(record, overrides=("footprint=circular", "max_spread=1")) for record in circles]
+def test_splatting_is_compared_with_circles_of_the_radius_that_was_looked_for() -> None:
     claim = "XFreq-GS is better with adaptive orthographic splatting than without (0.9278 against 0.8360)"
-    (row,) = rows_of(claims(*circles, *fitted("xfreq-gs", 0.0, config=TOLD)), claim)
-    assert row[QUICK].endswith(": open") and float(row[QUICK].split()[0]) > 40
-    assert "no other radius was run" in row["why not"]
+    records = [*fitted("xfreq-gs", 0.0), *fitted("xfreq-gs", -0.05, *CIRCLES)]
+    records += [*fitted("xfreq-gs", -0.1, "aided=false"), *fitted("xfreq-gs", -0.12, *CIRCLES, "aided=false")]
+    smaller = fitted("xfreq-gs", -0.3, *CIRCLES[:2], "angular_size_deg=4")
+    (row,) = rows_of(claims(*smaller, *records), claim)
+    differences = [float(row[column].split()[0]) for column in (QUICK, QUICK.replace("with", "without", 1))]
+    assert differences == pytest.approx([50, 20], abs=2) and row[QUICK].endswith(": holds")
+    others = rows_of(claims(*smaller, *records[:3], *fitted("gsrf", 0.0)), claim)
+    assert others[0][QUICK] == "–", "circles of another radius stand for none"
+
+
+def test_a_claim_that_was_measured_on_other_data_names_them() -> None:
+    here = [*fitted("xfreq-gs", 0.0), *fitted("gsrf", 0.0), *fitted("wrf-gs-plus", 0.0)]
+    there = [*fitted("xfreq-gs", 0.0), *fitted("xfreq-gs", -0.05, *CIRCLES)]
+    other = [record.model_copy(update={"dataset_sha256": "e" * 64, "recipe": f"3-{'e' * 64}"}) for record in there]
+    named = {line.split(" (")[0]: "3-eeeeeeee" in line for line in claims(*here, *other).splitlines()}
+    assert named["| XFreq-GS is better with adaptive orthographic splatting than without"]
+    assert not named["| XFreq-GS is better than GSRF"]
 
 
 def test_averages_are_of_the_carriers_of_the_paper_and_gains_are_told_along_them() -> None:
     def at(split: str, shift: float, method: str) -> list[RunRecord]:
-        return [with_job(record, split=split) for record in fitted(method, shift, config=TOLD)]
+        return [with_job(record, split=split) for record in fitted(method, shift)]
 
     shifts = {"lofo-1GHz": 0.1, **dict(zip(SPLITS, (0.01, 0.02, 0.06), strict=True))}
     records = [record for split, shift in shifts.items() for record in at(split, shift, "xfreq-gs")]
@@ -115,23 +125,13 @@ def test_averages_are_of_the_carriers_of_the_paper_and_gains_are_told_along_them
 
 
 def test_the_page_has_the_papers_method_in_every_table_and_says_which_are_reduced() -> None:
-    ablations = {
-        "sees_carrier=false latent=0": BLIND,
-        "footprint=circular": TOLD | {"footprint": "circular"},
-        "sees_carrier=false footprint=circular": BLIND | {"footprint": "circular"},
-    }
+    ablations = (BLIND, CIRCLES, BLIND + CIRCLES)
     sparse = [f"sparse-24.25GHz-from-{carriers}GHz" for carriers in ("10-37", "10-37-94", "1-10-37-60-94")]
-    plain = [with_job(record, split=split) for split in SPLITS for record in fitted("xfreq-gs-paper", 0, config=TOLD)]
+    plain = [with_job(record, split=split) for split in SPLITS for record in fitted("xfreq-gs-paper", 0)]
     plain += [
-        with_job(record, split=split, protocol="sparse")
-        for split in sparse
-        for record in fitted("xfreq-gs-paper", 0, config=TOLD)
+        with_job(record, split=split, protocol="sparse") for split in sparse for record in fitted("xfreq-gs-paper", 0)
     ]
-    plain += [
-        with_job(record, overrides=tuple(options.split()))
-        for options, config in ablations.items()
-        for record in fitted("xfreq-gs-paper", 0, config=config)
-    ]
+    plain += [record for options in ablations for record in fitted("xfreq-gs-paper", 0, *options)]
     text, _ = page_of(*plain, *fitted("gsrf", 0))
     assert "gsrf for GSRF: hundreds of Gaussians" in text and text.count("| gsrf, reduced, ≤ 64,000 maps") == 1
     papers = ("XFreq-GS", "baseline", "without frequency modulation", "without AOS", "full", "10, 37 GHz")
@@ -142,7 +142,7 @@ def test_the_page_has_the_papers_method_in_every_table_and_says_which_are_reduce
 
 def test_the_level_of_ninety_per_cent_stands_beside_the_papers_and_the_figure_is_drawn(tmp_path: Path) -> None:
     trivial = [record for record in make_records() if record.job.method != "ours"]
-    records = [*fitted("xfreq-gs", 0.0, config=TOLD), *trivial]
+    records = [*fitted("xfreq-gs", 0.0), *trivial]
     text, drawn = page_of(*records)
     (row,) = rows_of(text, "xfreq-gs, with our aids, ≤ 64,000 maps")[-1:]
     quantiles = pooled_quantiles([record for record in records if record.job.method == "xfreq-gs"], "ssim")
@@ -162,7 +162,7 @@ def test_the_level_of_ninety_per_cent_stands_beside_the_papers_and_the_figure_is
 
 
 def test_methods_of_the_paper_that_share_no_split_have_no_distributions() -> None:
-    apart = [make_record("xfreq-gs", 0.7, SPLITS[0], config=TOLD), make_record("wrf-gs-plus", 0.6, SPLITS[1])]
+    apart = [make_record("xfreq-gs", 0.7, SPLITS[0]), make_record("wrf-gs-plus", 0.6, SPLITS[1])]
     text, drawn = page_of(*apart)
     assert drawn == {}
     assert not [row for row in rows_of(text, "xfreq-gs") if "theirs" in row]

@@ -182,26 +182,36 @@ def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
 
 
 def _changes(of_scene: Sequence[Board], label: str, others: Mapping[str, str]) -> str:
-    """A row's average median SSIM minus those of others, by what each lacks, on the splits of all; empty without."""
+    """A row's average median SSIM minus those of others, by what each lacks, on the splits of all; empty without.
+
+    It is given within and beyond the trained carriers, each on the board that has most of the others, then most splits.
+    """
+    found: dict[str, list[tuple[int, int, str]]] = {}
     for board in of_scene:
         rows = {row.short_label: row for row in board.rows}
         known = {what: rows[other] for what, other in others.items() if other in rows}
-        if board.protocol != "lofo" or label not in rows or not known:
+        if board.protocol not in ("lofo", "sparse") or label not in rows or not known:
             continue
-        row, comparison = rows[label], Comparison.of(board, rows[label], *known.values())
-        if splits := comparison.splits:
-            said = [
-                f"{what} {with_interval(row.average(splits) - other.average(splits), interval, 4)}".strip()
+        outside = {record.job.split for record in rows[label].records if record.extrapolated_from}
+        both = Comparison.of(board, rows[label], *known.values()).splits
+        for where in (f"`{board.protocol}`", f"`{board.protocol}`, beyond the trained carriers,"):
+            splits = tuple(split for split in both if (split in outside) == ("beyond" in where))
+            comparison = Comparison(board, splits)
+            differences = [
+                f"{what} {with_interval(rows[label].average(splits) - other.average(splits), interval, 4)}".strip()
                 for what, other in known.items()
-                for interval in [comparison.difference(row, other)]
+                if splits
+                for interval in [comparison.difference(rows[label], other)]
             ]
-            return f"{', '.join(said)} ({_on(splits)})"
-    return ""
+            said = f"{', '.join(differences)} ({_on(where, splits)})"
+            found.setdefault(where, []).append((len(known) * bool(splits), len(splits), said))
+    best = [max(each) for each in found.values()]
+    return ", ".join(said for _, num_splits, said in best if num_splits)
 
 
-def _on(splits: Sequence[str]) -> str:
-    """The splits of `lofo` in words."""
-    return f"`lofo` at {', '.join(map(short_name, splits))}"
+def _on(where: str, splits: Sequence[str]) -> str:
+    """A protocol and the carriers of its splits."""
+    return f"{where} at {', '.join(map(short_name, splits))}"
 
 
 def _as_it_is(of_scene: Sequence[Board]) -> Iterator[str]:
@@ -216,7 +226,7 @@ def _as_it_is(of_scene: Sequence[Board]) -> Iterator[str]:
         if splits and board.data == other.data:
             yield (
                 "With nothing that the paper does not have (`xfreq-gs-paper`) its method reaches a median SSIM of "
-                f"{_reached(board, plain, splits)} on {_on(splits)}; with our aids (`xfreq-gs`) "
+                f"{_reached(board, plain, splits)} on {_on('`lofo`', splits)}; with our aids (`xfreq-gs`) "
                 f"{_reached(other, aided, splits)}."
             )
             return

@@ -42,12 +42,12 @@ def paper_page(found: RankedResults) -> tuple[str, str, dict[str, Callable[[Path
         return None
     distributions, cdfs = _distributions(ranked)
     maps, grids = _maps(ranked, found)
-    claims = _claims_table(ranked)
+    claims = _claims_table([*ranked, *(board for board in found.boards if board.scene == main_scene(found.boards))])
     caption = (
         "Differences of median SSIM × 1000, on the paper's three carriers or, where one is named, on this one. A claim "
         "*holds* where the whole interval, paired by transmitters and with three seeds of each method, lies above "
         "zero, and *does not hold* where it lies below. Data, rooms and sizes are others than the paper's. A dash: not "
-        "run yet; `xfreqbench benchmark --preset converged` runs it."
+        "run yet; presets `paper`, `equal-terms`, `ablations`, `converged` and `paper-size` have the runs."
     )
     rows = [row for board in ranked for row in board.rows]
     parts = [
@@ -79,12 +79,9 @@ def _boards_of(found: RankedResults) -> list[Board]:
 
 
 def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
-    """Whether a row has the named method and options; if no options are named, it has the defaults."""
-    if row.is_external or row.job.method != named["method"]:
-        return False
-    config = row.records[0].config
-    has_options = all(config.get(name) == value for name, value in named.get("config", {}).items())
-    return has_options and ("config" in named or row.family == "learned")
+    """Whether a row has the named method and, but for the device, the named options and no others."""
+    options = {option for option in row.job.overrides if not option.startswith("device=")}
+    return not row.is_external and row.job.method == named["method"] and options == set(named.get("options", ()))
 
 
 def _ours(named: Mapping[str, Any], protocol: str, splits: Sequence[str], ranked: Sequence[Board]) -> _Rows:
@@ -156,31 +153,40 @@ def _draw_cdf(panels: Mapping[str, Mapping[str, Sequence[float]]], path: Path) -
 def _claims_table(ranked: Sequence[Board]) -> str:
     """A row for each claim, of the method as the paper has it and with our aids; empty where nothing was measured."""
     columns = {
-        "xfreq-gs-paper, 200,000 maps": ("converged", "xfreq-gs-paper"),
-        "xfreq-gs with our aids, 64,000 maps": ("quick", "xfreq-gs"),
+        "xfreq-gs-paper, 200,000 maps": ("converged", "xfreq-gs-paper", ()),
+        "xfreq-gs without our aids, 64,000 maps": ("quick", "xfreq-gs", ("aided=false",)),
+        "xfreq-gs with our aids, 64,000 maps": ("quick", "xfreq-gs", ()),
     }
     rows = []
     for claim in published()["claim"]:
-        cells = [_claim_cell(claim, ranked, budget_text(BUDGETS[lane]), method) for lane, method in columns.values()]
+        cells = [_claim_cell(claim, ranked, *column) for column in columns.values()]
         is_doubted = any(words in cell for cell in cells for words in (": open", "does not hold"))
-        why = claim.get("open", claim.get("why", "")) if is_doubted else ""
+        why = claim.get("why", "") if is_doubted else ""
         rows.append([f"{claim['claim']} ({claim['theirs']})", *cells, why])
     if all(cell == ABSENT for row in rows for cell in row[1:-1]):
         return ""
     return table(("claim (published)", *columns, "why not"), rows, prose)
 
 
-def _claim_cell(claim: Mapping[str, Any], ranked: Sequence[Board], lane: str, method: str) -> str:
-    """The difference and the verdict on the first board of a budget that has both methods; a dash without any."""
+def _claim_cell(
+    claim: Mapping[str, Any], ranked: Sequence[Board], lane: str, method: str, options: tuple[str, ...]
+) -> str:
+    """The difference and the verdict on the first board of a lane that has both methods; a dash without any.
+
+    `method` with `options` is compared in the place of the paper's method.
+    """
     ends = [claim[end] for end in ("better", "worse") if end in claim]
-    ends = [end | ({"method": method} if end["method"] == _PAPERS[-1] else {}) for end in ends]
+    ends = [
+        {"method": method, "options": [*end.get("options", ()), *options]} if end["method"] == _PAPERS[-1] else end
+        for end in ends
+    ]
     along, carriers = claim.get("along", []), published()["table"]["cdf"]["splits"][0]
     for board in ranked:
         rows = [next((row for row in board.rows if _is_named(named, row)), None) for named in ends]
         known = [row for row in rows if row is not None]
         splits = [split for split in along or carriers if all(split in row.by_split for row in known)]
         is_whole = len(known) == len(ends) and (len(splits) == len(along) if along else bool(splits))
-        if (board.protocol, board.lane) != (claim.get("protocol", "lofo"), lane) or not is_whole:
+        if (board.protocol, board.lane) != (claim.get("protocol", "lofo"), budget_text(BUDGETS[lane])) or not is_whole:
             continue
         signed = list(zip(known, (1, -1), strict=False))
         weights = {splits[-1]: 1.0, splits[0]: -1.0} if along else dict.fromkeys(splits, 1 / len(splits))
@@ -190,8 +196,9 @@ def _claim_cell(claim: Mapping[str, Any], ranked: Sequence[Board], lane: str, me
         levels = f"{', '.join(f'{step:.1f}' for step in steps)}: " if along else ""
         is_known = all(Comparison(board, tuple(splits)).has_enough_seeds(row) for row in known) and not isnan(low)
         verdict = "holds" if low > 0 else "does not hold" if high < 0 else "open"
-        verdict = "open" if "open" in claim else verdict if is_known else "too few seeds"
+        verdict = verdict if is_known else "too few seeds"
         where = f" at {short_name(splits[0])}" if len(splits) == 1 else ""
+        where += f" ({board.data_name})" if board.data != ranked[0].data else ""
         bounds = f" [{1000 * low:+.1f}, {1000 * high:+.1f}]" if is_known else ""
         return f"{levels}{1000 * difference:+.1f}{bounds}{where}: {verdict}"
     return ABSENT
