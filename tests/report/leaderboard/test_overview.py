@@ -75,7 +75,7 @@ def test_the_matrix_of_skill_has_the_skill_of_each_board(written: tuple[Path, ..
     assert matrix == {"board": "office, lofo", "ours": "0.500"}
 
 
-def test_findings_name_the_best_method_and_what_the_papers_idea_adds(tmp_path: Path) -> None:
+def test_findings_name_the_best_method_and_what_each_part_of_the_papers_idea_adds(tmp_path: Path) -> None:
     def stored(method: str, shift: float, *overrides: str) -> list[RunRecord]:
         return [
             with_job(record, overrides=overrides, budget=BUDGETS["quick"])
@@ -92,25 +92,34 @@ def test_findings_name_the_best_method_and_what_the_papers_idea_adds(tmp_path: P
         write_report(store(tmp_path, *records), tmp_path / "B.md", tmp_path / "all")
         return re.findall(r"^\d\. (.*)$", (tmp_path / "B.md").read_text("utf-8"), re.MULTILINE)
 
-    best, idea_adds = findings(*records)
+    (best,) = findings(*records)  # no part was run alone
     assert "`xfreq-gs` is best" in best and "The next, `fixed-frequency-gs`" in best and "1 of the 1 boards" in best
-    parts, together = idea_adds.split(" All three: ")
-    assert parts.count("not run yet (`xfreqbench benchmark --preset equal-terms`)") == 2
-    told = re.match(r"with our aids (0\.0\d+) \[0\..*; without them 0\.0.* \(`lofo` at 24.25GHz\)", together)
-    assert told is not None and 0.03 < float(told[1]) < 0.05
+    for change, shift in (("sees_carrier=false", 0.122), ("latent=0", 0.09), ("max_spread=1", 0.12)):
+        records += stored("xfreq-gs", shift, "aided=false", change)  # with the carrier it has 0.12
+
+    def adds(*records: RunRecord) -> dict[str, list[float]]:
+        idea = findings(*records)[-1]
+        assert re.search("learned codes of Gaussians, above zero in 1 and below in 0 of [12];", idea), idea
+        text = (tmp_path / "B.md").read_text("utf-8").partition("What each part of the paper's idea adds")[2]
+        cells = [line.strip("| ").split(" | ") for line in text.splitlines() if "aids, `" in line]
+        return {where.strip(): [float(cell.split()[0]) for cell in row if "[" in cell] for where, *row in cells}
+
+    unaided, aided = "without our aids, `lofo` at 24.25GHz", "with our aids, `lofo` at 24.25GHz"
+    expected = {unaided: [-0.002, 0.03, 0.0, 0.03], aided: [0.04]}
+    assert adds(*records) == {where: pytest.approx(values, abs=2e-3) for where, values in expected.items()}
     elsewhere = [
         with_job(record, split="lofo-1GHz")
         for method in ("xfreq-gs", "fixed-frequency-gs")
         for record in stored(method, -0.2)
     ]
-    assert findings(*records, *elsewhere)[-1] == idea_adds, (
-        "a carrier that those without aids were not run on counts for none"
-    )
-    for change, shift in (("sees_carrier=false", 0.122), ("latent=0", 0.09), ("max_spread=1", 0.12)):
-        records += stored("xfreq-gs", shift, "aided=false", change)  # told the carrier it has 0.12
-    alone = findings(*records)[-1].split(" All three: ")[0].split("without them ")[1]
-    adds = [float(number) for number in re.findall(r"(-?0\.\d+) \[", alone)]
-    assert adds == pytest.approx([-0.002, 0.03, 0.0], abs=1e-3) and alone.startswith("the carrier as an input")
+    assert adds(*records, *elsewhere).keys() == expected.keys(), "a carrier that not all were run on counts for none"
+    few = [
+        with_job(record, protocol="sparse", split="sparse-24.25GHz-from-10-37GHz")
+        for change, shift in (((), 0.0), (("sees_carrier=false",), 0.1))
+        for record in stored("xfreq-gs", shift, "aided=false", *change)
+    ]
+    few_carriers = adds(*records, *few)["without our aids, `sparse` at 24.25GHz-from-10-37GHz"]
+    assert few_carriers == pytest.approx([-0.1], abs=2e-3)
 
 
 def test_a_warning_is_said_in_the_same_sentence_as_the_praise(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from xfreqbench.report.drawing.markdown import ABSENT, heading, number, prose, t
 from xfreqbench.report.leaderboard.boards import Board, BoardRow, published, short_name
 from xfreqbench.report.leaderboard.captions import facts, leak_statement, legend
 from xfreqbench.report.leaderboard.columns import BRIEF, columns
-from xfreqbench.report.leaderboard.comparison import Comparison
+from xfreqbench.report.leaderboard.comparison import Comparison, Interval
 from xfreqbench.report.leaderboard.tables import ranking_table
 from xfreqbench.report.leaderboard.unseen_rooms import ROOMS, rooms_overview
 from xfreqbench.runs.records import BenchRecord, RunRecord
@@ -35,13 +35,15 @@ def overview_markdown(
     of_scene = [board for board in ranked if board.scene == scene]
     compared = [_first_comparison(board) for board in main_boards(ranked)]
     every = {**pages, "measurements": measurements_page}
+    idea, table_of_idea = _papers_idea(of_scene)
     links = ", ".join(f"[{heading(name)}]({link})" for name, link in every.items())
     parts = [
         *_provenance(ranked),
-        *_findings(compared, of_scene),
+        *_findings(compared, of_scene, idea),
         *_main_board(compared, pages, scene),
         *_worth(next((each for each in compared if each.board.scene == scene), None)),
         *_skill_matrix(compared),
+        *table_of_idea,
         *rooms_overview(benches, pages.get(ROOMS, "")),
         *_time(of_scene, pages),
         claims,
@@ -62,10 +64,14 @@ def main_scene(ranked: Sequence[Board]) -> str:
 
 
 def main_boards(ranked: Sequence[Board]) -> list[Board]:
-    """Of the boards of each scene and protocol, which differ in data and budgets, that with most runs but ablations."""
+    """Of the boards of each scene and protocol, which differ in data and budgets, that with most runs but ablations.
+
+    A board with ablations alone is none of them.
+    """
     by_place: dict[tuple[str, str], list[Board]] = {}
     for board in ranked:
-        by_place.setdefault((board.scene, board.protocol), []).append(board)
+        if any(row.family != "ablation" for row in board.rows):
+            by_place.setdefault((board.scene, board.protocol), []).append(board)
 
     return [
         max(boards, key=lambda board: sum(len(row.records) for row in board.rows if row.family != "ablation"))
@@ -95,7 +101,7 @@ def _skill(comparison: Comparison, row: BoardRow) -> str:
     return columns(comparison, ("skill",))[0].cell(row)
 
 
-def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board]) -> list[str]:
+def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board], idea: Sequence[str]) -> list[str]:
     """What the records say on the five questions that everybody asks, each in a sentence with its intervals."""
     scene = of_scene[0].scene if of_scene else ""
     known = {each.board.protocol: each for each in compared if each.board.scene == scene and _fitted(each)}
@@ -103,7 +109,7 @@ def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board]) -> list
         *_best(known.get("lofo"), compared),
         *_elsewhere(known.get("held-out-tx"), "At transmitters that were never heard"),
         *_elsewhere(known.get("held-out-block"), "Where whole regions of the room were never heard"),
-        *_papers_idea(of_scene),
+        *idea,
         *_as_it_is(of_scene),
     ]
     numbered = [f"{place}. {sentence}" for place, sentence in enumerate(found, 1)]
@@ -148,65 +154,88 @@ def _elsewhere(comparison: Comparison | None, where: str) -> Iterator[str]:
     )
 
 
-def _papers_idea(of_scene: Sequence[Board]) -> Iterator[str]:
-    """What each part of the paper's model adds where it alone is changed, and what all add that a reduction lacks.
+def _papers_idea(of_scene: Sequence[Board]) -> tuple[list[str], list[str]]:
+    """What each part of the paper's model adds where it alone is changed, and all that a reduction lacks.
 
-    Each is said with and without the aids that the paper does not have.
+    It is a finding and a section with a table; two empty lists where no part was run alone.
     """
     parts = {
         "the carrier as an input": "sees_carrier=false",
         "learned codes of Gaussians": "latent=0",
         "a spread of footprints for each carrier": "max_spread=1",
     }
-    alone, together = [], []
-    for words, aids, other in (
+    every = "all three"
+    rows, intervals = [], dict[str, list[Interval]]()
+    for aids, base, other in (
+        ("without our aids", ("aided=false",), "fixed-frequency-gs (aided=false)"),
         ("with our aids", (), "fixed-frequency-gs (aided=true)"),  # whose own settings are without a blend
-        ("without them", ("aided=false",), "fixed-frequency-gs (aided=false)"),
     ):
-        base, *without = (
+        label, *lacking = (
             f"xfreq-gs ({', '.join(sorted(options))})" if options else "xfreq-gs"
-            for options in (aids, *((*aids, change) for change in parts.values()))
+            for options in (base, *((*base, change) for change in parts.values()))
         )
-        alone.append((words, _changes(of_scene, base, dict(zip(parts, without, strict=True)))))
-        together.append((words, _changes(of_scene, base, {"": other})))
-    if any(found for _, found in (*alone, *together)):
-        unknown = "not run yet (`xfreqbench benchmark --preset equal-terms`)"
-        yield (
-            f"`xfreq-gs` differs from `fixed-frequency-gs` in three things: {', '.join(parts)}. What each adds to the "
-            "median SSIM, the others unchanged: "
-            + "; ".join(f"{words} {found or unknown}" for words, found in alone)
-            + ". All three: "
-            + "; ".join(f"{words} {found or unknown}" for words, found in together)
-            + ". Where a part was not run alone, it is open which of them does it."
-        )
+        others = dict(zip(parts, lacking, strict=True)) | {every: other}
+        for place, changes in _changes(of_scene, label, others):
+            cells = (with_interval(*changes[part], 4) if part in changes else ABSENT for part in (*parts, every))
+            rows.append([f"{aids}, {place}", *cells])
+            for part, (_, interval) in changes.items():
+                intervals.setdefault(part, []).append(interval)
+    if not intervals.keys() & parts.keys():
+        return [], []
+    said = [
+        f"{part}, above zero in {sum(low > 0 for low, _ in known)} and below in {sum(high < 0 for _, high in known)} "
+        f"of {len(known)}"
+        for part in (*parts, every)
+        if (known := intervals.get(part))
+    ]
+    finding = (
+        "`xfreq-gs` differs from `fixed-frequency-gs` in three things, and each was taken away alone. The interval of "
+        f"what it adds to the median SSIM is: {'; '.join(said)} comparisons, of which a table below has the numbers."
+    )
+    caption = (
+        "Median SSIM of `xfreq-gs` minus that without the part. *All three*: minus that of `fixed-frequency-gs`. A "
+        "dash: not run yet (`xfreqbench benchmark --preset equal-terms`)."
+    )
+    title = "## What each part of the paper's idea adds"
+    return [finding], [f"{title}\n\n{caption}\n\n{table(['', *parts, every], rows, prose)}"]
 
 
-def _changes(of_scene: Sequence[Board], label: str, others: Mapping[str, str]) -> str:
-    """A row's average median SSIM minus those of others, by what each lacks, on the splits of all; empty without.
+def _changes(
+    of_scene: Sequence[Board], label: str, others: Mapping[str, str]
+) -> Iterator[tuple[str, dict[str, tuple[float, Interval]]]]:
+    """A row's average median SSIM minus those of others, by what each lacks, with its interval, and where that is.
 
-    It is given within and beyond the trained carriers, each on the board that has most of the others, then most splits.
+    On `lofo` it is given within and beyond the trained carriers, on `sparse` for each set of training carriers; each on
+    the board that has most of the others, then most splits.
     """
-    found: dict[str, list[tuple[int, int, str]]] = {}
+    found: dict[tuple[str, str], list[tuple[int, int, Comparison]]] = {}
     for board in of_scene:
         rows = {row.short_label: row for row in board.rows}
-        known = {what: rows[other] for what, other in others.items() if other in rows}
+        known = [rows[other] for other in others.values() if other in rows]
         if board.protocol not in ("lofo", "sparse") or label not in rows or not known:
             continue
         outside = {record.job.split for record in rows[label].records if record.extrapolated_from}
-        both = Comparison.of(board, rows[label], *known.values()).splits
-        for where in (f"`{board.protocol}`", f"`{board.protocol}`, beyond the trained carriers,"):
-            splits = tuple(split for split in both if (split in outside) == ("beyond" in where))
-            comparison = Comparison(board, splits)
-            differences = [
-                f"{what} {with_interval(rows[label].average(splits) - other.average(splits), interval, 4)}".strip()
-                for what, other in known.items()
-                if splits
-                for interval in [comparison.difference(rows[label], other)]
-            ]
-            said = f"{', '.join(differences)} ({_on(where, splits)})"
-            found.setdefault(where, []).append((len(known) * bool(splits), len(splits), said))
-    best = [max(each) for each in found.values()]
-    return ", ".join(said for _, num_splits, said in best if num_splits)
+        splits_by_place: dict[tuple[str, str], list[str]] = {}
+        for split in Comparison.of(board, rows[label], *known).splits:
+            where = f"`{board.protocol}`" + (" beyond the trained carriers" if split in outside else "")
+            splits_by_place.setdefault((where, split if board.protocol == "sparse" else ""), []).append(split)
+        for place, splits in splits_by_place.items():
+            found.setdefault(place, []).append((len(known), len(splits), Comparison(board, tuple(splits))))
+    for (where, _), each in found.items():
+        *_, comparison = max(each, key=lambda found: found[:2])
+        rows = {row.short_label: row for row in comparison.rows}
+        average = rows[label].average(comparison.splits)
+        yield (
+            _on(where, comparison.splits),
+            {
+                what: (
+                    average - rows[other].average(comparison.splits),
+                    comparison.difference(rows[label], rows[other]),
+                )
+                for what, other in others.items()
+                if other in rows
+            },
+        )
 
 
 def _on(where: str, splits: Sequence[str]) -> str:
