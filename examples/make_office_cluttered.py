@@ -8,7 +8,7 @@ Sizes are those of usual furniture; random positions are drawn with a fixed seed
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 
@@ -173,19 +173,23 @@ def clutter() -> dict[str, dict[str, tuple[str, list[trimesh.Trimesh]]]]:
     }
 
 
-def write_scene(folder: Path, kinds: Iterable[str] | None = None) -> Path:
-    """Write the scene with these kinds of things, all if absent, into a folder; the path of its TOML."""
+def write_glb(path: Path, pieces: Mapping[str, tuple[str, list[trimesh.Trimesh]]]) -> None:
+    """Write pieces, each with its name, its material and its parts, as one glTF file."""
     meshes = trimesh.Scene()
     upwards = trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]).round()  # glTF has y upwards
-    for kind, pieces in clutter().items():
-        if kinds is None or kind in kinds:
-            for name, (material, parts) in pieces.items():
-                mesh = trimesh.util.concatenate(parts).apply_transform(upwards)
-                mesh.visual = trimesh.visual.TextureVisuals(material=PBRMaterial(name=material))
-                meshes.add_geometry(mesh, node_name=name, geom_name=name)
+    for name, (material, parts) in pieces.items():
+        mesh = trimesh.util.concatenate(parts).apply_transform(upwards)
+        mesh.visual = trimesh.visual.TextureVisuals(material=PBRMaterial(name=material))
+        meshes.add_geometry(mesh, node_name=name, geom_name=name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(meshes.export(file_type="glb"))
+
+
+def write_scene(folder: Path, kinds: Iterable[str] | None = None) -> Path:
+    """Write the scene with these kinds of things, all if absent, into a folder; the path of its TOML."""
+    wanted = [pieces for kind, pieces in clutter().items() if kinds is None or kind in kinds]
+    write_glb(folder / NAME / "clutter.glb", {name: piece for pieces in wanted for name, piece in pieces.items()})
     path = folder / f"{NAME}.toml"
-    (folder / NAME).mkdir(parents=True, exist_ok=True)
-    (folder / NAME / "clutter.glb").write_bytes(meshes.export(file_type="glb"))
     room = (SCENES / "office.toml").read_text(encoding="utf-8").partition("\n\n")[2]
     head = HEAD.format(name=NAME, description=DESCRIPTION)
     path.write_text(f"{head}\n{room}{MATERIALS}", encoding="utf-8", newline="\n")

@@ -68,7 +68,7 @@ def test_the_standard_runs_every_method_with_three_seeds_on_every_board() -> Non
     for block in blocks:
         assert {setting.method for setting in block.settings} == compared and len(block.seeds) == 3
     boards = {(block.scene, block.protocol) for block in blocks}
-    scenes = ("office", "two_rooms", "corridor", "lounge", "office_cluttered")
+    scenes = ("office", "open_office", "two_rooms", "corridor", "lounge", "office_cluttered")
     assert boards == set(product(scenes, set(protocols()) - {"held-out-receiver"}))
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from xfreqbench.examples.make_office_cluttered import clutter, write_scene
+from xfreqbench.examples.make_office_cluttered import clutter, write_glb, write_scene
+from xfreqbench.examples.make_open_office import BENCHES_M, furniture
 from xfreqbench.examples.what_clutter_adds import variants
 
 from tests.support.fuzzing.common import xfreqbench
@@ -52,7 +53,7 @@ max_m = [4.0, 4.0, -0.1]
 BOX_SCENE = parse_scene(BOX)
 
 
-@pytest.mark.parametrize("name", ["office", "office_cluttered", "two_rooms", "corridor", "empty"])
+@pytest.mark.parametrize("name", ["office", "open_office", "office_cluttered", "two_rooms", "corridor", "empty"])
 def test_every_shipped_scene_has_a_free_receiver_and_usable_transmitters(name: str) -> None:
     scene = load_scene(name)
     meshes = surface_meshes(scene)
@@ -89,9 +90,24 @@ def test_the_cluttered_office_is_the_office_and_what_its_script_adds(tmp_path: P
         assert getattr(shipped, field) == getattr(office, field)
     meshes = surface_meshes(shipped)
     assert {mesh.name for mesh in meshes[len(office.surface) :]} == set().union(*clutter().values())
-    for ours, theirs in zip(surface_meshes(written), meshes, strict=True):
-        assert (ours.name, ours.slab) == (theirs.name, theirs.slab)
-        np.testing.assert_allclose(ours.corners_m, theirs.corners_m, atol=1e-5)
+    require_same_meshes(surface_meshes(written), meshes)
+    assert can_solve(Geometry(meshes), TraceSettings().by("image"))
+
+
+def require_same_meshes(ours: list[SurfaceMesh], theirs: list[SurfaceMesh]) -> None:
+    for one, other in zip(ours, theirs, strict=True):
+        assert (one.name, one.slab) == (other.name, other.slab)
+        np.testing.assert_allclose(one.corners_m, other.corners_m, atol=1e-5)
+
+
+def test_the_furniture_of_the_open_office_is_what_its_script_makes(tmp_path: Path) -> None:
+    shipped = load_scene("open_office")
+    write_glb(tmp_path / "open_office" / "furniture.glb", furniture())
+    meshes = surface_meshes(shipped)
+    require_same_meshes(surface_meshes(replace(shipped, folder=tmp_path)), meshes)
+    assert len(place_transmitters(shipped, meshes).tx_position_m) == 1440
+    tops = [surface for surface in shipped.surface if surface.name.startswith("bench")]
+    np.testing.assert_allclose([np.add(top.min_m, top.max_m)[:2] / 2 for top in tops], BENCHES_M)  # where desks are
     assert can_solve(Geometry(meshes), TraceSettings().by("image"))
 
 

@@ -25,6 +25,7 @@ SHIPPED = {
     "lounge": ("3a9733bb3952b748", "371502a4ceee4812"),
     "office": ("8f59e2cc110cf6f6", "5f8a1436a4670e4f"),
     "office_cluttered": ("99711f43c4edcd6e", "5ab5b6b4a18a4f59"),
+    "open_office": ("6aecc59ca96afe8d", "62c4beb56356ec8b"),
     "two_rooms": ("b42b44cd08745dec", "88149a990bd70de3"),
 }
 OWN = '[[material]]\nname = "foam"\nrelative_permittivity = 1.5\nconductivity_s_m = 0.002\n'
