@@ -18,7 +18,7 @@ from xfreqbench.runs.records import RunRecord
 
 CLAIM = "XFreq-GS is better than GSRF (0.9098 against 0.7235)"
 BLIND = ("sees_carrier=false", "latent=0")
-CIRCLES = ("footprint=circular", "max_spread=1", "angular_size_deg=8")
+CIRCLES = ("footprint=circular", "max_spread=1", "angular_size_deg=16")
 
 
 def page_of(*records: RunRecord) -> tuple[str, dict]:
