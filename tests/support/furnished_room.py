@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ SHELL = (
     Surface("west", "plasterboard", 0.1, (0.0, 0.0, 0.0), (0.0, 3.0, 2.5)),
     Surface("east", "concrete", 0.1, (4.0, 0.0, 0.0), (4.0, 3.0, 2.5)),
 )
+IN_PLACE = np.eye(4)
 TX_M = np.array([[0.5, 0.6, 1.1], [3.3, 2.4, 0.9], [2.9, 0.4, 0.6], [1.4, 2.6, 1.3]])
 
 
@@ -55,13 +57,23 @@ def plate(edge_m: float, height_m: float, pieces: int = 1) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]), process=False)
 
 
-def furnished_room(folder: Path, subdivisions: int = 3) -> Scene:
-    """The room; its meshes are written to the folder, the cushion in 20·4ⁿ triangles."""
+def furnished_room(folder: Path, subdivisions: int = 3, move: np.ndarray = IN_PLACE) -> Scene:
+    """The room; its meshes are written to the folder, the cushion in 20·4ⁿ triangles.
+
+    `move` (4, 4) shifts it all, or turns it by quarters about the z axis; the array stays as it is oriented.
+    """
     meshes = {
         "cushion": ("wood", cushion(subdivisions)),
         "table": ("wood", trimesh.creation.box(bounds=[[0.8, 1.2, 0.7], [1.9, 2.1, 0.73]])),
         "screen": ("metal", trimesh.creation.box(bounds=[[3.0, 1.2, 0.8], [3.02, 2.0, 1.4]])),
         "foot": ("metal", trimesh.creation.cylinder(0.03, segment=[[1.3, 1.6, 0.02], [1.3, 1.6, 0.68]])),
     }
-    xml = write_meshes(folder, meshes)
-    return Scene("furnished", RECEIVER, GRID, surface=SHELL, scene=xml, folder=folder)
+    xml = write_meshes(folder, {name: (slab, mesh.apply_transform(move)) for name, (slab, mesh) in meshes.items()})
+    shell = []
+    for surface in SHELL:
+        ends_m = trimesh.transform_points([surface.min_m, surface.max_m], move)
+        low_m, high_m = ends_m.min(axis=0).tolist(), ends_m.max(axis=0).tolist()
+        shell.append(replace(surface, min_m=tuple(low_m), max_m=tuple(high_m)))
+    receiver_m = trimesh.transform_points([RECEIVER.position_m], move)[0].tolist()
+    receiver = replace(RECEIVER, position_m=tuple(receiver_m))
+    return Scene("furnished", receiver, GRID, surface=tuple(shell), scene=xml, folder=folder)

@@ -219,6 +219,28 @@ def test_with_weak_paths_left_out_an_element_hears_what_a_lone_one_does_to_a_tho
         assert (np.abs(array[:, element] - own) / strength).max() < 1e-3
 
 
+@pytest.mark.parametrize(
+    "move",
+    [
+        trimesh.transformations.translation_matrix([8.0, -4.0, 0.5]),  # by float32 coordinates a micrometre off
+        trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1]).round(),
+    ],
+    ids=["shifted", "turned"],
+)
+def test_a_furnished_room_that_is_moved_has_the_same_channels_to_a_thousandth(
+    room: Scene, tmp_path: Path, move: np.ndarray
+) -> None:
+    tx_m, settings = random_places_m(8, 8), replace(DIFFRACTING, rays=200_000)
+    here, there = (
+        ImageTracer(lone(scene, np.array(scene.receiver.position_m)), CARRIERS_HZ, settings).channel(places_m).cfr
+        for scene, places_m in (
+            (room, tx_m),
+            (furnished_room(tmp_path, move=move), trimesh.transform_points(tx_m, move)),
+        )
+    )
+    assert (np.abs(there - here) / np.abs(here).max(axis=1, keepdims=True)).max() < 1e-3
+
+
 def test_the_paths_of_a_furnished_room_add_up_to_its_channel(room: Scene) -> None:
     tracer = ImageTracer(lone(room, np.array(RECEIVER.position_m)), CARRIERS_HZ, replace(DIFFRACTING, rays=20_000))
     num_diffracted = 0
