@@ -17,7 +17,7 @@ from tests.support.screened_room import SCENE as SCREENED
 from xfreqbench.bench.responses import Responses, _compared, _statistics, bench_responses, read_responses
 from xfreqbench.bench.tables import Bench
 from xfreqbench.errors import DataError, PlacementError
-from xfreqbench.scene.model import load_scene
+from xfreqbench.scene.model import Scene, Surface, load_scene
 from xfreqbench.tracing.paths import Paths
 from xfreqbench.tracing.solvers import make_tracer
 from xfreqbench.tracing.tracer import TraceSettings
@@ -97,6 +97,17 @@ def test_responses_that_were_made_of_a_scenes_paths_are_those_of_its_paths(tmp_p
     assert less_ns["traced, depth 1"] < -0.3
     assert float(rows["traced, depth 2"].split("|")[5]) > 0.9
     assert {line.split("|")[1].strip() for line in said if line.startswith("| ")} >= {"LOS (6)", "NLOS (6)", "0", "11"}
+
+
+def test_a_link_that_no_path_reaches_has_no_number(tmp_path: Path) -> None:
+    wall = Surface("wall", "metal", 0.1, (4.0, -50.0, -50.0), (4.0, 50.0, 50.0))
+    scene, said = Scene("wall", SCREENED.receiver, surface=(wall,)), list[str]()
+    blocked = responses(tx_m=np.array([[6.0, 5.0, 1.2], [2.0, 2.0, 1.5]]), receiver_m=np.full((2, 3), 1.0))
+    only = TraceSettings("image", ("specular",), rays=2000, max_depth=1)
+    bench_responses(Bench("measured", "x", said.append), scene, blocked, [4e9], only, 3, ignore_progress)
+    rows = [line.split("|")[1:4] for line in said if ("traced, depth 1 " in line and "[" in line) or "– | –" in line]
+    assert [row[0].strip() for row in rows] == ["all (1)", "far (1)", "near (0)"]
+    assert rows[2][2].strip() == "–"
 
 
 def test_an_interval_is_of_cells_and_no_path_is_no_number() -> None:

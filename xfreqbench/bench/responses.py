@@ -105,7 +105,7 @@ def bench_responses(
         pulses = np.sinc(time) * np.pi / 4 * (np.sinc(x + 0.5) + np.sinc(x - 0.5))
         gains = paths.gain * np.exp(2j * np.pi * rng.random((NUM_DRAWS, *paths.gain.shape)))
         for model, is_kept in kept.items():
-            cir = (gains * is_kept).reshape(-1, len(late_s)) @ pulses
+            cir = ((gains * is_kept) @ pulses).reshape(-1, found.cir.shape[2])
             values.setdefault(model, np.full_like(known, np.nan))[n] = _statistics(found, n, cir, level[n])
     note = (
         f"{len(known)} links, {format_ghz_list(carrier_hz)}, a pulse of {found.bandwidth_hz / 1e6:g} MHz with roll-off "
