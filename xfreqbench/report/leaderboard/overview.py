@@ -35,15 +35,13 @@ def overview_markdown(
     of_scene = [board for board in ranked if board.scene == scene]
     compared = [_first_comparison(board) for board in main_boards(ranked)]
     every = {**pages, "measurements": measurements_page}
-    idea, table_of_idea = _papers_idea(of_scene)
     links = ", ".join(f"[{heading(name)}]({link})" for name, link in every.items())
     parts = [
         *_provenance(ranked),
-        *_findings(compared, of_scene, idea),
+        *_findings(compared, of_scene),
         *_main_board(compared, pages, scene),
         *_worth(next((each for each in compared if each.board.scene == scene), None)),
         *_skill_matrix(compared),
-        *table_of_idea,
         *rooms_overview(benches, pages.get(ROOMS, "")),
         *_time(of_scene, pages),
         claims,
@@ -101,7 +99,7 @@ def _skill(comparison: Comparison, row: BoardRow) -> str:
     return columns(comparison, ("skill",))[0].cell(row)
 
 
-def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board], idea: Sequence[str]) -> list[str]:
+def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board]) -> list[str]:
     """What the records say on the five questions that everybody asks, each in a sentence with its intervals."""
     scene = of_scene[0].scene if of_scene else ""
     known = {each.board.protocol: each for each in compared if each.board.scene == scene and _fitted(each)}
@@ -109,7 +107,7 @@ def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board], idea: S
         *_best(known.get("lofo"), compared),
         *_elsewhere(known.get("held-out-tx"), "At transmitters that were never heard"),
         *_elsewhere(known.get("held-out-block"), "Where whole regions of the room were never heard"),
-        *idea,
+        *papers_idea(of_scene)[0],
         *_as_it_is(of_scene),
     ]
     numbered = [f"{place}. {sentence}" for place, sentence in enumerate(found, 1)]
@@ -154,7 +152,7 @@ def _elsewhere(comparison: Comparison | None, where: str) -> Iterator[str]:
     )
 
 
-def _papers_idea(of_scene: Sequence[Board]) -> tuple[list[str], list[str]]:
+def papers_idea(of_scene: Sequence[Board]) -> tuple[list[str], list[str]]:
     """What each part of the paper's model adds where it alone is changed, and all that a reduction lacks.
 
     It is a finding and a section with a table; two empty lists where no part was run alone.
@@ -182,22 +180,23 @@ def _papers_idea(of_scene: Sequence[Board]) -> tuple[list[str], list[str]]:
                 intervals.setdefault(part, []).append(interval)
     if not intervals.keys() & parts.keys():
         return [], []
-    said = [
-        f"{part}, above zero in {sum(low > 0 for low, _ in known)} and below in {sum(high < 0 for _, high in known)} "
-        f"of {len(known)}"
+    where, *first = rows[0]
+    said = "; ".join(f"{part} {cell}" for part, cell in zip((*parts, every), first, strict=True))
+    certain = ", ".join(
+        f"{sum(low > 0 for low, _ in known)} and {sum(high < 0 for _, high in known)}"
         for part in (*parts, every)
         if (known := intervals.get(part))
-    ]
+    )
     finding = (
-        "`xfreq-gs` differs from `fixed-frequency-gs` in three things, and each was taken away alone. The interval of "
-        f"what it adds to the median SSIM is: {'; '.join(said)} comparisons, of which a table below has the numbers."
+        "`xfreq-gs` differs from `fixed-frequency-gs` in three things, and each was taken away alone. It adds to the "
+        f"median SSIM, {where}: {said}. Of the {len(rows)} rows of the table on the page of the paper's claims, with "
+        f"other carriers and aids, the interval is above and below zero in {certain}, in this order."
     )
     caption = (
         "Median SSIM of `xfreq-gs` minus that without the part. *All three*: minus that of `fixed-frequency-gs`. A "
-        "dash: not run yet (`xfreqbench benchmark --preset equal-terms`)."
+        "dash: not run."
     )
-    title = "## What each part of the paper's idea adds"
-    return [finding], [f"{title}\n\n{caption}\n\n{table(['', *parts, every], rows, prose)}"]
+    return [finding], [caption, table(["", *parts, every], rows, prose)]
 
 
 def _changes(
@@ -211,16 +210,18 @@ def _changes(
     found: dict[tuple[str, str], list[tuple[int, int, Comparison]]] = {}
     for board in of_scene:
         rows = {row.short_label: row for row in board.rows}
-        known = [rows[other] for other in others.values() if other in rows]
-        if board.protocol not in ("lofo", "sparse") or label not in rows or not known:
+        if board.protocol not in ("lofo", "sparse") or label not in rows:
             continue
         outside = {record.job.split for record in rows[label].records if record.extrapolated_from}
-        splits_by_place: dict[tuple[str, str], list[str]] = {}
-        for split in Comparison.of(board, rows[label], *known).splits:
+        places: dict[tuple[str, str], list[str]] = {}
+        for split in rows[label].by_split:
             where = f"`{board.protocol}`" + (" beyond the trained carriers" if split in outside else "")
-            splits_by_place.setdefault((where, split if board.protocol == "sparse" else ""), []).append(split)
-        for place, splits in splits_by_place.items():
-            found.setdefault(place, []).append((len(known), len(splits), Comparison(board, tuple(splits))))
+            places.setdefault((where, split if board.protocol == "sparse" else ""), []).append(split)
+        for place, splits in places.items():
+            run = [rows[other] for other in others.values() if other in rows and rows[other].by_split.keys() & splits]
+            shared = tuple(split for split in splits if run and all(split in row.by_split for row in run))
+            if shared:
+                found.setdefault(place, []).append((len(run), len(shared), Comparison(board, shared)))
     for (where, _), each in found.items():
         *_, comparison = max(each, key=lambda found: found[:2])
         rows = {row.short_label: row for row in comparison.rows}

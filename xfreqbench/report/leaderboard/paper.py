@@ -21,7 +21,7 @@ from xfreqbench.report.leaderboard.captions import reduced_statement
 from xfreqbench.report.leaderboard.columns import metric_title
 from xfreqbench.report.leaderboard.comparison import Comparison, contrast
 from xfreqbench.report.leaderboard.maps import require_own_maps, stored_maps
-from xfreqbench.report.leaderboard.overview import main_boards, main_scene
+from xfreqbench.report.leaderboard.overview import main_boards, main_scene, papers_idea
 from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.system.files import write_text
 
@@ -42,7 +42,8 @@ def paper_page(found: RankedResults) -> tuple[str, str, dict[str, Callable[[Path
         return None
     distributions, cdfs = _distributions(ranked)
     maps, grids = _maps(ranked, found)
-    claims = _claims_table([*ranked, *(board for board in found.boards if board.scene == main_scene(found.boards))])
+    every = [*ranked, *(board for board in found.boards if board.scene == main_scene(found.boards))]
+    claims, idea = _claims_table(every), papers_idea(every)[1]
     caption = (
         "Differences of median SSIM × 1000, on the paper's three carriers or, where one is named, on this one. A claim "
         "*holds* where the whole interval, paired by transmitters and with three seeds of each method, lies above "
@@ -59,6 +60,7 @@ def paper_page(found: RankedResults) -> tuple[str, str, dict[str, Callable[[Path
         "## Claims",
         caption,
         claims or "None was measured.",
+        *(["## What each part of the paper's idea adds", *idea] if idea else []),
         "## The paper's tables",
         "A median SSIM of ours has its 95 % interval.",
         *_papers_tables(ranked),
