@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.synthetic import write_dataset
 from xfreqbench.data.dataset import PasDataset
-from xfreqbench.data.splits import BLOCK_MARGIN_M, NUM_BLOCKS, Split, blocks, make_splits
+from xfreqbench.data.splits import NUM_BLOCKS, Split, blocks, cell_m, make_splits
 from xfreqbench.errors import ProtocolError
 
 NUM_TX = 60
@@ -28,7 +28,7 @@ def _apart_m(dataset: PasDataset, split: Split) -> np.ndarray:
 @pytest.mark.parametrize("on", ["test", "validation"])
 def test_no_trained_transmitter_is_near_a_tested_one_and_no_other_is_left_out(dataset: PasDataset, on) -> None:
     (split,) = make_splits(dataset, "held-out-block", on=on)
-    assert _apart_m(dataset, split).min() >= BLOCK_MARGIN_M
+    assert _apart_m(dataset, split).min() >= cell_m(dataset) / 2
     assert not split.shares_transmitters
     assert split.nearest_trained_m == pytest.approx(np.median(_apart_m(dataset, split)))
     (whole,) = make_splits(dataset, "held-out-block")
@@ -36,7 +36,7 @@ def test_no_trained_transmitter_is_near_a_tested_one_and_no_other_is_left_out(da
     left_out = np.setdiff1d(offered, [*split.train, *split.test])
     tested_m = dataset.tx_position_m[split.test]
     for row in left_out[dataset.has_path[left_out]]:
-        assert np.linalg.norm(tested_m - dataset.tx_position_m[row], axis=1).min() < BLOCK_MARGIN_M
+        assert np.linalg.norm(tested_m - dataset.tx_position_m[row], axis=1).min() < cell_m(dataset) / 2
 
 
 def test_a_fifth_is_tested_at_every_carrier_and_the_carriers_are_trained_on(dataset: PasDataset) -> None:

@@ -68,11 +68,3 @@ def test_times_are_those_of_the_budgets(dataset: PasDataset) -> None:
     assert [in_hours(seconds) for seconds in (0, 420, 7500)] == ["1 min", "7 min", "2 h 05 min"]
     assert "2 fits without a budget in seconds come on top" in str(Estimate(3, (*fits, steps)))
     assert "of run time, shared by the workers of the cluster" in str(Estimate(1, (fits[0],), None))
-
-
-def test_ten_minutes_are_long(dataset: PasDataset) -> None:
-    short, long = (job(dataset, "aperture-gs", Budget(max_seconds=seconds)) for seconds in (580.0, 590.0))
-    assert not Estimate(1, (short,)).is_long
-    assert Estimate(1, (long,)).is_long
-    assert Estimate(3, (short,) * 3).is_long
-    assert not Estimate(3, (short,) * 3, num_places=3).is_long

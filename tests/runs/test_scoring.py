@@ -9,6 +9,7 @@ import pytest
 
 import xfreqbench as xb
 from xfreqbench.data.dataset import PasDataset
+from xfreqbench.data.splits import cell_m
 from xfreqbench.errors import ArgumentError
 from xfreqbench.runs.scoring import cells
 
@@ -24,20 +25,16 @@ def test_scores_are_those_of_a_run(dataset: PasDataset, tmp_path: Path) -> None:
         assert values.shape == split.test.shape
         assert np.median(values) == pytest.approx(record.scores[name].median, abs=1e-8)  # rounded there
     np.testing.assert_allclose(scores["ssim"], np.concatenate(record.ssim_by_tx), atol=1e-4)  # rounded there
-    squares = [*map(tuple, np.floor(dataset.tx_position_m[split.test][:, :2]).tolist())]
+    squares = [*map(tuple, np.floor(dataset.tx_position_m[split.test][:, :2] / cell_m(dataset)).tolist())]
     assert len(record.cell_of_tx) == len(record.ssim_by_tx) == len(squares)
     for one, cell in zip(squares, record.cell_of_tx, strict=True):
         assert [one == other for other in squares] == [cell == other for other in record.cell_of_tx]
 
 
-def test_a_cell_is_a_square_metre_of_the_floor_whatever_the_height() -> None:
-    assert cells(np.array([[0.2, 0.3, 1], [0.9, 0.99, 2], [1.0, 0.1, 1], [-0.1, 0.3, 1], [0.5, 0.5, 9]])) == (
-        1,
-        1,
-        2,
-        0,
-        1,
-    )
+def test_a_cell_is_a_square_of_the_floor_whatever_the_height() -> None:
+    position_m = np.array([[0.2, 0.3, 1], [0.9, 0.99, 2], [1.0, 0.1, 1], [-0.1, 0.3, 1], [0.5, 0.5, 9]])
+    assert cells(position_m, 1.0) == (1, 1, 2, 0, 1)
+    assert cells(position_m / 5, 0.2) == (1, 1, 2, 0, 1)
 
 
 def test_the_truth_has_perfect_scores(dataset: PasDataset) -> None:

@@ -1,10 +1,54 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 
 import xfreqbench as xb
 from xfreqbench.errors import MaterialBandError, UnknownNameError
-from xfreqbench.scene.materials import check_dispersion, complex_permittivity, materials_defined_at
+from xfreqbench.scene.materials import ITU_MATERIALS, Band, check_dispersion, complex_permittivity, materials_defined_at
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
+
+SIDES = "lower", "upper"
+
+
+def edges(side: str, outward_hz: float) -> Iterator[tuple[str, Band, float]]:
+    """Material, band and a carrier `outward_hz` outside one edge of every band, unless another band contains it."""
+    for name, bands in ITU_MATERIALS.items():
+        for band in bands:
+            low_hz, high_hz = round(band.low_ghz * 1e9), round(band.high_ghz * 1e9)
+            carrier_hz = low_hz - outward_hz if side == "lower" else high_hz + outward_hz
+            if not any(other.contains(carrier_hz) for other in bands if other != band):
+                yield name, band, carrier_hz
+
+
+def power_law(band: Band, carrier_hz: float) -> complex:
+    """η = ε' − jσ/(2πfε₀) with ε₀ = 1/(μ₀c²)."""
+    vacuum_f_m = 1 / (1.25663706212e-6 * SPEED_OF_LIGHT_M_S**2)  # μ₀ of CODATA 2018
+    carrier_ghz = carrier_hz / 1e9
+    conductivity_s_m = band.c * carrier_ghz**band.d
+    return complex(
+        band.a * carrier_ghz**band.b - 1j * conductivity_s_m / (2 * 3.141592653589793 * carrier_hz * vacuum_f_m)
+    )
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_every_band_has_its_power_law_up_to_its_edges(side: str) -> None:
+    for name, band, carrier_hz in [*edges(side, 0.0), *edges(side, -1.0)]:
+        # the constants of CODATA agree to 1e-10
+        assert complex_permittivity(name, carrier_hz) == pytest.approx(power_law(band, carrier_hz), rel=1e-9)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_carrier_1_hz_outside_of_a_band_is_refused_and_extrapolation_starts_there(side: str) -> None:
+    outside = list(edges(side, 1.0))
+    assert len(outside) >= len(ITU_MATERIALS)
+    for name, band, carrier_hz in outside:
+        with pytest.raises(MaterialBandError):
+            complex_permittivity(name, carrier_hz)
+        edge = power_law(band, 1e9 * (band.low_ghz if side == "lower" else band.high_ghz))
+        # 1 Hz is 1e-6 of 1 MHz, where a twentieth of wood's permittivity goes as f^0.07
+        assert complex_permittivity(name, carrier_hz, "extrapolate") == pytest.approx(edge, rel=1e-8)
 
 
 def test_concrete_at_10_ghz_has_the_permittivity_of_p2040() -> None:

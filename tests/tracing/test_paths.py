@@ -18,6 +18,7 @@ from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.paths import (
     DIFFRACTION,
     NO_INTERACTION,
+    Paths,
     RaggedPaths,
     angles_rad,
     directions,
@@ -123,3 +124,15 @@ def test_a_spherical_wave_reaches_each_element_after_its_own_distance() -> None:
     turned_back = direct * np.exp(2j * np.pi * distance_m / wavelength_m)
     assert np.abs(np.angle(turned_back / turned_back[0])).max() < 1e-9  # some 20 turns in double precision
     np.testing.assert_allclose(np.abs(direct), np.abs(direct[0]))
+
+
+def test_pairs_of_antennas_that_no_path_joins_have_no_paths_together() -> None:
+    found = tracer_of(SCREENED, [4e9, 5e9], TraceSettings("image", rays=2000, max_depth=2)).paths(
+        np.array([2.0, 2.0, 1.2])
+    )
+    empty = {
+        name: getattr(found, name)[:0] for name in ("delay_s", "arrival", "interactions", "surfaces", "vertices_m")
+    }
+    without = replace(found, gain=found.gain[:, :0], **empty)
+    both = Paths.joined([without, without])
+    assert (both.gain.shape, both.vertices_m.shape) == ((4, 0), without.vertices_m.shape)

@@ -6,13 +6,13 @@ each receiver, which is fitted at the positions of a random tenth of the cells; 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from xfreqbench.bench.tables import Bench
@@ -21,7 +21,7 @@ from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.scene.placement import check_inside
 from xfreqbench.scene.tables import read_table
-from xfreqbench.tracing.paths import DIFFRACTION, NO_INTERACTION
+from xfreqbench.tracing.paths import DIFFRACTION, NO_INTERACTION, Paths
 from xfreqbench.tracing.solvers import resolve_solver, tracer_of
 from xfreqbench.tracing.tracer import TraceSettings
 from xfreqbench.types import FloatArray, NDArray, ProgressCallback
@@ -216,32 +216,51 @@ def _traced_db(
     settings: TraceSettings,
     progress: ProgressCallback,
 ) -> dict[str, Float[FloatArray, "n R"]]:
-    """Powers in dB by the scene's paths of at most 1, 2, … interactions, with and without those over edges.
-
-    They are Σ|gain|² over paths, which is the mean over some wavelengths of the place, carriers and polarisations.
-    """
-    receivers, depths = scene.receivers, range(1, settings.max_depth + 1)
-    power = np.zeros((2, len(depths), len(position_m), len(receivers)))
-    done, total = 0, 2 * power[0, 0].size
-    for r, receiver in enumerate(receivers):
-        for polarization in ("V", "H"):
-            tracer = tracer_of(_alone(scene, receiver, polarization), carrier_hz, settings, geometry)
-            for n, place_m in enumerate(position_m):
-                paths = tracer.paths(place_m)
-                length = (paths.interactions != NO_INTERACTION).sum(axis=1)
-                is_plain = ~(paths.interactions == DIFFRACTION).any(axis=1)
-                of_path = (np.abs(paths.gain) ** 2).mean(axis=0)
-                for d, depth in enumerate(depths):
-                    power[0, d, n, r] += of_path[length <= depth].sum()
-                    power[1, d, n, r] += of_path[(length <= depth) & is_plain].sum()
-                done += 1
-                progress(done, total)
-    if not power.any():
+    """Powers in dB by the scene's paths: Σ|gain|², the mean over some wavelengths, carriers and polarisations."""
+    receivers = scene.receivers
+    power: dict[str, Float[FloatArray, "n R"]] = {}
+    links = traced_links(scene, geometry, receivers, [position_m] * len(receivers), carrier_hz, settings, progress)
+    for r, n, paths, kept in links:
+        of_path = (np.abs(paths.gain) ** 2).mean(axis=0)
+        for model, is_kept in kept.items():
+            power.setdefault(model, np.zeros((len(position_m), len(receivers))))[n, r] = of_path[is_kept].sum()
+    if not any(each.any() for each in power.values()):
         raise SceneError("No path reaches a receiver from any measured position: these are not in this scene.")
-    level_db = 10 * np.log10(np.maximum(power, power[power > 0].min()))  # where no path arrives, the weakest power
-    has_edges = "diffraction" in settings.named_interactions
-    models = {f"traced, depth {depth}": level_db[0, d] for d, depth in enumerate(depths)}
-    return models | ({f"traced, depth {depths[-1]}, without diffraction": level_db[1, -1]} if has_edges else {})
+    weakest = min(each[each > 0].min(initial=np.inf) for each in power.values())  # where no path arrives
+    return {model: 10 * np.log10(np.maximum(each, weakest)) for model, each in power.items()}
+
+
+def traced_links(
+    scene: Scene,
+    geometry: Geometry,
+    receivers: Sequence[ReceiverArray],
+    tx_m: Sequence[Float[FloatArray, "n 3"]],
+    carrier_hz: Sequence[float],
+    settings: TraceSettings,
+    progress: ProgressCallback,
+) -> Iterator[tuple[int, int, Paths, dict[str, Bool[NDArray[np.bool_], "P"]]]]:
+    """Numbers of receiver and transmitter, their paths, and which of these are in each model, by its name.
+
+    Models are paths of at most 1, 2, … interactions, and those that meet no edge. Gains are those of each carrier, of
+    vertical and then of horizontal antennas.
+    """
+    done, total = 0, sum(map(len, tx_m))
+    for r, (receiver, places_m) in enumerate(zip(receivers, tx_m, strict=True)):
+        vertical, horizontal = _alone(scene, receiver, "V"), _alone(scene, receiver, "H")
+        tracer = tracer_of(vertical, carrier_hz, settings, geometry)
+        both = tracer, tracer.with_antennas(horizontal)
+        for n, place_m in enumerate(places_m):
+            paths = Paths.joined([each.paths(place_m) for each in both])
+            length = (paths.interactions != NO_INTERACTION).sum(axis=1)
+            depths = range(min(1, settings.max_depth), settings.max_depth + 1)
+            kept = {f"traced, depth {depth}": length <= depth for depth in depths}
+            if "diffraction" in settings.named_interactions:
+                kept[f"traced, depth {depths[-1]}, without diffraction"] = ~(paths.interactions == DIFFRACTION).any(
+                    axis=1
+                )
+            yield r, n, paths, kept
+            done += 1
+            progress(done, total)
 
 
 def _scores(
@@ -256,7 +275,7 @@ def _scores(
     num_cells = int(cell.max()) + 1
     is_scored = np.isfinite(error_db)
     counts = np.bincount(cell, is_scored.sum(axis=1), num_cells)
-    drawn = np.random.default_rng(seed).multinomial(num_cells, np.full(num_cells, 1 / num_cells), 1000)
+    drawn = drawn_cells(num_cells, seed)
     own, other = (
         np.sqrt(drawn @ np.bincount(cell, np.nansum(errors**2, axis=1), num_cells) / np.maximum(drawn @ counts, 1))
         for errors in (error_db, beside_db)
@@ -278,6 +297,11 @@ def _scores(
         f"{np.median(np.abs(error_db[is_scored])):.2f}",
         f"{np.nansum(a * b) / spread:.2f}" if spread else "–",
     )
+
+
+def drawn_cells(number: int, seed: int) -> Int[NDArray[np.int64], "1000 C"]:
+    """How often each of so many cells is drawn, of as many with replacement."""
+    return np.random.default_rng(seed).multinomial(number, np.full(number, 1 / number), 1000)
 
 
 def _rms(values: Float[FloatArray, "n"]) -> float:

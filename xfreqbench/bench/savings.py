@@ -36,10 +36,7 @@ ChannelArray = Complex[NDArray[np.complex128], "T F M"]
 
 
 class Saving(NamedTuple):
-    """A row of the table: ms a sample without and with a saving, and how it changes the result.
-
-    A saving may also spend time for accuracy; then the first of the times is the smaller.
-    """
+    """A row of the table: ms a sample without and with a saving, and how it changes the result."""
 
     name: str
     timed: str
@@ -109,8 +106,7 @@ def bench_savings(bench: Bench) -> None:
     note = (
         f"ms a sample, the least of {REPEATS} warm runs; the others stay on while one is off. The "
         "office at the defaults; changes are the largest error of a sample's channel relative to its norm, and PSNR "
-        "of power maps (none: equal to the last bit). Times of pieces hold what each reads and shoots anew. A saving "
-        "may buy accuracy with time."
+        "of power maps (none: equal to the last bit). Times of pieces hold what each reads and shoots anew."
     )
     versions = software_versions("image") | software_versions("sionna")
     columns = ("saving", "timed", "off, ms", "on, ms", "off / on", "change in the answer")
@@ -182,7 +178,6 @@ def _sionna_savings(work: Workload) -> Iterator[Saving]:
     # few, because each transmitter shoots its own
     fewer_rays = replace(work.few(2, 3), settings=replace(work.settings, rays=100_000))
     yield shooting_from_the_receiver(fewer_rays)
-    yield _larger_table(fewer_rays)
 
 
 def all_at_once(work: Workload, name: str) -> Saving:
@@ -226,29 +221,6 @@ def shooting_from_the_receiver(work: Workload) -> Saving:
 
     timed = f"{SCENE_AND_RAYS}, {work.settings.rays:,} rays"
     return work.saving("sionna: rays from the receiver", timed, forward, work.channel)
-
-
-def _larger_table(work: Workload) -> Saving:
-    """Sionna's table of candidates enlarged, in the plain way: it loses hardly any candidates, but saves no time."""
-    from xfreqbench.tracing.sionna.scene import roomy_hash_table
-
-    def roomy() -> ChannelArray:
-        with roomy_hash_table():
-            return _plain(work)
-
-    name = "sionna: larger table of candidates, which buys accuracy"
-    timed = f"plain way, {work.settings.rays:,} rays, depth {work.settings.max_depth}"
-    return work.saving(name, timed, lambda: _plain(work), roomy)
-
-
-def _plain(work: Workload) -> ChannelArray:
-    """Channels by the public solver of Sionna RT, one call for each transmitter and carrier."""
-    from xfreqbench.tracing.sionna.plain import plain_channel
-
-    settings = work.settings
-    asked = settings.named_interactions, settings.max_depth, settings.rays, settings.seed
-    channels = [plain_channel(work.scene, carrier, work.tx_position_m, *asked) for carrier in work.carrier_hz]
-    return np.stack(channels, axis=1)
 
 
 def map_savings(work: Workload) -> Iterator[Saving]:

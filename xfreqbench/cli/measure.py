@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
+from zipfile import is_zipfile
 
 from cyclopts import Parameter
 
@@ -159,7 +160,7 @@ def bench_measured(
     output: BenchOutput = None,
     quiet: Quiet = False,
 ) -> None:
-    """Compare measured powers with those of a scene, of free space, of fitted laws and of nearest positions.
+    """Compare measured powers, or impulse responses, with those of a scene, and powers with fitted laws.
 
     Parameters
     ----------
@@ -167,9 +168,10 @@ def bench_measured(
         A shipped scene's name, or the path of a scene TOML. It may have several receivers.
     measured
         A CSV file with a line of names: x, y and z in metres, and for each receiver a power in dB or dBm, in a column
-        with the receiver's name, or with a name that ends in `_` and the receiver's.
+        with the receiver's name, or a name that ends in `_` and the receiver's. Or an `.npz` of impulse responses.
     """
     from xfreqbench.bench.measured import bench_measured, read_measurement
+    from xfreqbench.bench.responses import bench_responses, read_responses
     from xfreqbench.scene.model import load_scene
     from xfreqbench.tracing.solvers import check_settings
     from xfreqbench.tracing.tracer import TraceSettings
@@ -180,11 +182,16 @@ def bench_measured(
     settings = TraceSettings(solver, max_depth=max_depth)
     check_settings(settings)
     loaded = load_scene(scene)
-    found = read_measurement(measured, loaded.receivers, height, every)
+    has_responses = measured.is_file() and is_zipfile(measured)
+    if has_responses and height is not None:
+        raise XFreqBenchError("--height has no meaning for impulse responses, whose positions have three axes.")
+    found: Any = read_responses(measured, every) if has_responses else None
+    found = found or read_measurement(measured, loaded.receivers, height, every)
     options: dict[str, Any] = {"height": height, "every": every, "solver": solver, "max_depth": max_depth, "seed": seed}
     bench = _bench("measured", output, scene, str(measured), freqs=freqs, **options)
     with progress_bars("positions", [f"tracing {loaded.name}"], quiet) as (progress,):
-        bench_measured(bench, loaded, found, carriers_hz, settings, seed, progress)
+        compare = bench_responses if has_responses else bench_measured
+        compare(bench, loaded, found, carriers_hz, settings, seed, progress)
 
 
 @bench.command(name="reference", help_epilogue=example("bench reference empty -o reference.npz"))

@@ -21,10 +21,11 @@ map of the same transmitter from another carrier scores well, so these scores sa
 `held-out-tx` tests unseen places, but it leaks the carriers: its scores say nothing about unseen carriers. It draws
 the tested transmitters one by one, so that each has trained neighbours on all sides, and a method that copies the map
 of the nearest one does well. In `held-out-block` those that are nearer than half a metre to a tested one are in neither
-part. `lofo-unseen-tx` leaks nothing: it is trained on the other transmitters at the other carriers. `random-samples`,
-the default of the released code of XFreq-GS, leaks places and carriers: its scores say nothing about either. In all of
-them except `held-out-receiver` the room and the receiver are the same in training and in test. There, a method is given
-the position and the array of the tested receiver, but no samples of it. It leaks transmitters and carriers.
+part; if all transmitters lie within less than 5 m, those nearer than a tenth of this length. `lofo-unseen-tx` leaks
+nothing: it is trained on the other transmitters at the other carriers. `random-samples`, the default of the released
+code of XFreq-GS, leaks places and carriers: its scores say nothing about either. In all of them except
+`held-out-receiver` the room and the receiver are the same in training and in test. There, a method is given the
+position and the array of the tested receiver, but no samples of it. It leaks transmitters and carriers.
 
 Transmitters within a millimetre of each other are one place, and in one part, and so are samples of one place at one
 carrier. A carrier that agrees with a tested one in nine digits is neither trained on nor tested with it.
@@ -72,7 +73,7 @@ SPARSE_TEST_HZ = ghz_to_hz(24.25)
 SPARSE_TRAINING_GHZ = ((10.0, 37.0), (10.0, 37.0, 94.0), (1.0, 10.0, 37.0, 60.0, 94.0))  # the paper's
 UNSEEN_SHARE = 0.2  # of the transmitters, or of the samples
 NUM_BLOCKS = 10  # regions of the floor, each with as many transmitters
-BLOCK_MARGIN_M = 0.5
+CELL_M = 1.0  # scores of transmitters so far apart are half as correlated as those of neighbours
 
 Known = TypeVar("Known")
 Mask = Bool[NDArray[np.bool_], "N"]
@@ -401,9 +402,14 @@ def _block_masks(dataset: PasDataset, is_offered: Mask, share: float) -> tuple[M
     num_tested = max(1, round(share * num_blocks))
     tested = np.random.default_rng(0).permutation(num_blocks)[:num_tested]
     is_tested = np.isin(blocks(position_m[:, :2], num_blocks), tested)
-    is_near = KDTree(position_m[is_tested]).query(position_m)[0] < BLOCK_MARGIN_M
+    is_near = KDTree(position_m[is_tested]).query(position_m)[0] < cell_m(dataset) / 2
     trained, tested = places[~is_tested & ~is_near], places[is_tested]
     return np.isin(place_index(dataset), trained), np.isin(place_index(dataset), tested)
+
+
+def cell_m(dataset: PasDataset) -> float:
+    """Side of the cells of the floor within which scores are alike: 1 m, or a fifth of a floor shorter than 5 m."""
+    return min(CELL_M, float(np.ptp(dataset.tables["tx_position_m"][:, :2], axis=0).max()) / 5)
 
 
 def blocks(position_m: Float[FloatArray, "T 2"], number: int) -> Int[IntArray, "T"]:

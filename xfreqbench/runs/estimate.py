@@ -37,11 +37,6 @@ class Estimate:
         limits = (0.0 if _is_trivial(job) else job.budget.max_seconds or 0.0 for job in self.left)
         return sum(OVERHEAD_S + limit * number for limit, number in zip(limits, times, strict=True))
 
-    @property
-    def is_long(self) -> bool:
-        """Whether it may take more than ten minutes, as far as that is known."""
-        return self.seconds / (self.num_places or 1) > 600.0
-
     def __str__(self) -> str:
         num_finished, num_left = self.num_asked - len(self.left), len(self.left)
         counted = f"{self.num_asked} runs" + (f", {num_finished} of them finished before" if num_finished else "")

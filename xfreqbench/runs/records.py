@@ -219,7 +219,7 @@ class RunRecord(SealedModel):
       empty for a fit without a limit, and for a method that yielded only once.
     * `ssim_by_tx` holds the SSIM of every test sample, rounded to four decimals: a list for each tested transmitter,
       in the order of their indices.
-    * `cell_of_tx` has for each of these transmitters the number of its cell, a square metre of the floor.
+    * `cell_of_tx` has for each of these transmitters the number of its cell, a square of the floor (`splits.cell_m`).
     * `nearest_trained_m` is the median distance from a tested transmitter to the nearest trained one.
     * `code_sha256` is the hash of the method's code, see `xfreqbench.methods.registry.code_sha256`.
     * `findings` is what the method says it has learned.

@@ -128,7 +128,7 @@ def run_shown(tasks: Sequence[Task], results_dir: Path, executor: str, progress:
         for note in dict.fromkeys(note for task in tasks for note in task.split.notes(task.data)):
             print(f"xfreqbench: {note}", file=sys.stderr, flush=True)
         estimate = estimate_runs(tasks, results_dir, executor)
-        if estimate.is_long:
+        if estimate.seconds > 600.0 * (estimate.num_places or 1):  # more than ten minutes
             print(estimate, file=sys.stderr, flush=True)
     with (
         run_bars(not progress, shows_fit=executor in (SERIAL, "1")) as (ended, fitting),

@@ -13,7 +13,7 @@ from pydantic import InstanceOf, SkipValidation
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.hdf5 import packed, unpacked
 from xfreqbench.data.recipe import micrometres
-from xfreqbench.data.splits import Split
+from xfreqbench.data.splits import Split, cell_m
 from xfreqbench.errors import ArgumentError, DataError
 from xfreqbench.maps.metrics import METRICS_VERSION, quantiles, score_all
 from xfreqbench.runs.predictions import MapBatch, fault_of_maps, read_predictions
@@ -55,16 +55,14 @@ def scored_on_split(dataset: PasDataset, split: Split, predictions: Path) -> dic
         "nearest_trained_m": split.nearest_trained_m,
         "trained_band_hz": split.trained_band_hz(dataset),
         **summaries(scores, test.carrier_hz, test.tx_index),
-        "cell_of_tx": cells(test.tx_position_m[np.diff(test.tx_index, prepend=-1) > 0]),
+        "cell_of_tx": cells(test.tx_position_m[np.diff(test.tx_index, prepend=-1) > 0], cell_m(dataset)),
     }
 
 
-def cells(position_m: Float[FloatArray, "T 3"]) -> tuple[int, ...]:
-    """The number of the square metre of the floor in which each position lies, whatever its height.
-
-    Scores of near transmitters are alike: one metre apart, their correlation is half of that of neighbours.
-    """
-    return tuple(np.unique(micrometres(position_m)[:, :2] // 10**6, axis=0, return_inverse=True)[1].ravel().tolist())
+def cells(position_m: Float[FloatArray, "T 3"], side_m: float) -> tuple[int, ...]:
+    """The number of the square of the floor in which each position lies, whatever its height."""
+    square = micrometres(position_m)[:, :2] // max(1, round(side_m * 1e6))
+    return tuple(np.unique(square, axis=0, return_inverse=True)[1].ravel().tolist())
 
 
 @checked

@@ -45,8 +45,8 @@ class Paths:
         """
         if len(links) == 1:
             return links[0]
-        points_m = [np.nan_to_num(link.vertices_m, nan=np.inf).reshape(len(link.delay_s), -1) for link in links]
-        met = [np.hstack([link.interactions, link.surfaces, at]) for link, at in zip(links, points_m, strict=True)]
+        points_m = [np.nan_to_num(link.vertices_m, nan=np.inf).swapaxes(0, 1) for link in links]
+        met = [np.hstack([link.interactions, link.surfaces, *at]) for link, at in zip(links, points_m, strict=True)]
         _, first, number = np.unique(np.concatenate(met), axis=0, return_index=True, return_inverse=True)
         delay_s = np.concatenate([link.delay_s for link in links])[first]
         order = np.lexsort((first, delay_s))
@@ -56,7 +56,7 @@ class Paths:
             np.add.at(of_link, at, link.gain.T)
         of_a_path = "arrival", "interactions", "surfaces", "vertices_m"
         kept = {name: np.concatenate([getattr(link, name) for link in links])[first][order] for name in of_a_path}
-        flat = gain.swapaxes(1, 2).reshape(-1, len(first))
+        flat = gain.swapaxes(1, 2).reshape(len(links) * gain.shape[2], len(first))
         return cls(np.tile(links[0].carrier_hz, len(links)), flat, delay_s[order], **kept)
 
     def departure(

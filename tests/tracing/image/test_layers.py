@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support.plans import plan_generation
+from tests.support.reference import slab_coefficients
 from xfreqbench.errors import MaterialBandError, SceneError
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.imported import Slab
@@ -90,6 +91,23 @@ def test_layers_of_one_material_are_one_slab(material: str, carrier_hz: float) -
     for parts_m in ([0.03], [0.01, 0.02], [0.002, 0.008, 0.02]):
         parts = layered([Layer(material, part_m) for part_m in parts_m])
         np.testing.assert_allclose(slab_response(parts, carrier_hz, COSINES), whole, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("material", "thickness_m"), [("glass", 0.01), ("concrete", 0.3), ("metal", 0.05)])
+def test_a_slab_has_the_coefficients_of_p2040_from_grazing_to_normal(material: str, thickness_m: float) -> None:
+    cosines = np.array([1e-4, 1e-2, 0.5, 1.0])
+    for carrier_hz in (1e9, 2.4e9, 10e9, 24.25e9, 60e9, 94e9):
+        eta = complex_permittivity(material, carrier_hz)
+        expected = [slab_coefficients(eta, thickness_m, carrier_hz, cosine) for cosine in cosines]
+        # of up to 600 rad in concrete; what is lost in metal does not come back
+        found = slab_response(Slab(material, thickness_m), carrier_hz, cosines)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+
+
+def test_slabs_without_loss_keep_the_energy_of_grazing_rays() -> None:
+    power = np.abs(slab_response(Slab(LOSSLESS[1], 0.03), 24.25e9, np.geomspace(1e-6, 1, 50))) ** 2
+    # 1 − R² of grazing rays keeps 1e-16 of 1e-6, and is divided by a number as small
+    np.testing.assert_allclose(power[:, :2] + power[:, 2:], 1, rtol=0, atol=1e-9)
 
 
 def test_grazing_and_opaque_stacks_have_finite_coefficients() -> None:

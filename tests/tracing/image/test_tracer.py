@@ -352,3 +352,14 @@ def test_an_interruption_does_not_wait_for_threads_that_compile_or_compute(monke
     with pytest.raises(KeyboardInterrupt):
         compiled.on_threads(call, 2)
     may_end.set()
+
+
+def test_lengths_of_paths_between_two_plates_over_100_m_are_those_of_unfolded_lines() -> None:
+    plates = [Surface(f"at {z}", "metal", 0.01, (-20.0, -60.0, z), (120.0, 60.0, z)) for z in (0.0, 4.0)]
+    scene = scene_of(*plates, receiver=replace(RECEIVER, rows=1, cols=1))
+    paths = ImageTracer(scene, [94e9], replace(PLAIN, max_depth=5, rays=200_000)).paths(np.array([100.0, 0.0, 1.0]))
+    assert sorted((paths.interactions == SPECULAR).sum(axis=1)) == [0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
+    image_m = np.array([8.0 * turn + side for turn in range(-3, 4) for side in (1, -1)])
+    length_m = np.hypot(np.longdouble(100), image_m - RECEIVER.position_m[2])
+    # some roundings of 100 m
+    assert np.abs(paths.delay_s[:, None] * SPEED_OF_LIGHT_M_S - length_m).min(axis=1).max() < 1e-12

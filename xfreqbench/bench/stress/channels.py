@@ -1,25 +1,20 @@
-"""Phases and amplitudes of channels up to 100 m, and permittivities, against closed forms (phases in long double)."""
+"""Phases and amplitudes of channels up to 100 m, against closed forms in long double."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Literal, get_args
 
 import numpy as np
 
 from xfreqbench.bench.stress.case import Area
-from xfreqbench.errors import MaterialBandError
 from xfreqbench.maps.bartlett import cfr_of_plane_waves
-from xfreqbench.scene.array import planar_array, steering_vector
-from xfreqbench.scene.materials import ITU_MATERIALS, Band, complex_permittivity
 from xfreqbench.scene.model import ReceiverArray, Scene
 from xfreqbench.tracing.image.tracer import ImageTracer
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.types import NDArray
-from xfreqbench.units import SPEED_OF_LIGHT_M_S, VACUUM_PERMITTIVITY_F_M, ghz_to_hz
+from xfreqbench.units import SPEED_OF_LIGHT_M_S, ghz_to_hz
 
-PHASE, MATERIALS = Area("phase"), Area("materials")
+PHASE = Area("phase")
 CARRIERS_GHZ = (1.0, 2.4, 10.0, 24.25, 60.0, 94.0)
 PI = 4 * np.arctan(np.longdouble(1))
 LIGHT_M_S = np.longdouble(SPEED_OF_LIGHT_M_S)
@@ -28,7 +23,6 @@ THREE_HZ = [ghz_to_hz(ghz) for ghz in (1.0, 24.25, 94.0)]
 SINGLE = replace(RECEIVER, rows=1, cols=1)  # an array of one element
 HEIGHT_M = RECEIVER.position_m[2]
 SETTINGS = TraceSettings(interactions=WITHOUT_DIFFRACTION, solver="image", rays=1000)
-_VACUUM_PERMEABILITY_H_M = 1.25663706212e-6  # CODATA 2018
 _LENGTHS_M = np.geomspace(0.1, 100, 200)
 # 100 m at 94 GHz are 31,000 turns: four roundings of 1.1e-16 each, times 2π, make 9e-11 rad
 _PHASE_LIMIT = 1e-10
@@ -104,82 +98,3 @@ def _one_hertz_apart() -> float:
     tracer = ImageTracer(free_space(SINGLE), carriers, SETTINGS)
     low, high = tracer.channel(np.array([[length_m, 0.0, 2.0]])).cfr[0, :, 0]
     return float(abs(np.angle(high / low) + 2 * np.pi * length_m / SPEED_OF_LIGHT_M_S))
-
-
-@PHASE.case(
-    "steering vectors of 64×64 elements at 94 GHz",
-    limit=1e-13,  # the corners lie 22 wavelengths from the centre: 140 rad times five roundings
-    unit="rad",
-)
-def _steering() -> float:
-    """Error of steering vectors of unit modulus, for 50 arrivals."""
-    element_m = planar_array(64, 64, 0.5) * SPEED_OF_LIGHT_M_S / 94e9
-    directions = np.random.default_rng(0).normal(size=(50, 3))
-    arrival = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    path_m = (arrival.astype(np.longdouble)[:, None] * element_m).sum(axis=-1)
-    return float(np.abs(steering_vector(element_m, arrival, 94e9) / wave(-path_m, 94e9) - 1).max())
-
-
-Side = Literal["lower", "upper"]
-
-
-def _edges(side: Side, outward_hz: float) -> Iterator[tuple[str, Band, float]]:
-    """Material, band and carrier of every tabulated band; the carrier lies `outward_hz` outside one edge of the band.
-
-    Carriers that another band of the same material contains are left out.
-    """
-    for name, bands in ITU_MATERIALS.items():
-        for band in bands:
-            low, high = round(band.low_ghz * 1e9), round(band.high_ghz * 1e9)
-            carrier_hz = low - outward_hz if side == "lower" else high + outward_hz
-            if not any(other.contains(carrier_hz) for other in bands if other != band):
-                yield name, band, carrier_hz
-
-
-@MATERIALS.cases_of(
-    {f"P.2040 at the {side} edge of every band": (side,) for side in get_args(Side)},
-    limit=1e-9,  # the constants of CODATA agree to 1e-10
-    unit="relative",
-)
-def _permittivity_at_edges(side: Side) -> float:
-    """Error of η = ε' − jσ/(2πfε₀), ε₀ = 1/(μ₀c²), at the edges of all bands and 1 Hz inside them."""
-    vacuum_f_m = 1 / (_VACUUM_PERMEABILITY_H_M * SPEED_OF_LIGHT_M_S**2)
-    errors = []
-    for name, band, carrier_hz in [*_edges(side, 0.0), *_edges(side, -1.0)]:
-        carrier_ghz = carrier_hz / 1e9
-        conductivity_s_m = band.c * carrier_ghz**band.d
-        imaginary = conductivity_s_m / (2 * np.pi * carrier_hz * vacuum_f_m)
-        expected = band.a * carrier_ghz**band.b - 1j * imaginary
-        errors.append(abs(complex_permittivity(name, carrier_hz) / expected - 1))
-    return max(errors)
-
-
-@MATERIALS.case("P.2040 refuses 1 Hz outside every band", limit=0, unit="materials")
-def _accepted_outside() -> float:
-    """Number of bands that are accepted 1 Hz outside their edges, gaps between bands included."""
-    accepted = 0
-    for name, _, carrier_hz in [*_edges("lower", 1.0), *_edges("upper", 1.0)]:
-        try:
-            complex_permittivity(name, carrier_hz)
-            accepted += 1
-        except MaterialBandError:
-            continue
-    return float(accepted)
-
-
-@MATERIALS.case(
-    "extrapolation starts where a band ends",
-    limit=1e-8,  # 1 Hz is 1e-6 of 1 MHz, where a twentieth of wood's permittivity goes as f^0.07
-    unit="relative",
-)
-def _extrapolated_jump() -> float:
-    """Difference between the extrapolation 1 Hz outside a band and the band's power law at its edge."""
-    jumps = []
-    for side in get_args(Side):
-        for name, band, carrier_hz in _edges(side, 1.0):
-            inside_hz = (band.low_ghz if side == "lower" else band.high_ghz) * 1e9
-            conductivity_s_m = band.c * (inside_hz / 1e9) ** band.d
-            loss = conductivity_s_m / (2 * np.pi * inside_hz * VACUUM_PERMITTIVITY_F_M)
-            edge = band.a * (inside_hz / 1e9) ** band.b - 1j * loss
-            jumps.append(abs(complex_permittivity(name, carrier_hz, "extrapolate") / edge - 1))
-    return max(jumps)

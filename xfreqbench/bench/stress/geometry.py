@@ -8,17 +8,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from xfreqbench.bench.stress.case import Area
-from xfreqbench.bench.stress.channels import CARRIERS_GHZ, HEIGHT_M, SINGLE, THREE_HZ, free_space, friis, wave
+from xfreqbench.bench.stress.channels import HEIGHT_M, SINGLE, THREE_HZ, free_space, friis, wave
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.materials import complex_permittivity
 from xfreqbench.scene.meshes import SurfaceMesh
 from xfreqbench.scene.model import PatchSize, ReceiverArray, Surface
-from xfreqbench.tracing.image.kernels.slabs import slab_coefficients
 from xfreqbench.tracing.image.tracer import ImageTracer
-from xfreqbench.tracing.paths import SPECULAR
 from xfreqbench.tracing.tracer import WITHOUT_DIFFRACTION, TraceSettings
 from xfreqbench.types import FloatArray, IntArray, NDArray
-from xfreqbench.units import SPEED_OF_LIGHT_M_S, ghz_to_hz
+from xfreqbench.units import SPEED_OF_LIGHT_M_S
 
 GEOMETRY = Area("geometry")
 _SETTINGS = TraceSettings(interactions=WITHOUT_DIFFRACTION, solver="image", rays=2000, max_depth=1)
@@ -106,51 +104,6 @@ def _border() -> float:
     bounce = [-fresnel_slab("concrete", 0.2, f, float(4 / bounce_m))[0] * ray(bounce_m, f) for f in THREE_HZ]
     both = [direct + reflected for direct, reflected in zip(lone, bounce, strict=True)]
     return min(largest_error(found, expected, 3.0) for expected in (lone, both))
-
-
-# some roundings of 100 m
-@GEOMETRY.case("lengths of unfolded paths over 100 m, in metres", limit=1e-12, unit="m")
-def _unfolded() -> float:
-    """Largest difference between the lengths of paths between two plates and those of the unfolded lines, in metres."""
-    plates = tuple(
-        Surface(name, "metal", 0.01, (-20.0, -60.0, z), (120.0, 60.0, z)) for name, z in (("low", 0.0), ("high", 4.0))
-    )
-    scene = replace(free_space(SINGLE), surface=plates)
-    tracer = ImageTracer(scene, [94e9], replace(_SETTINGS, max_depth=5, rays=200_000))
-    paths = tracer.paths(np.array([100.0, 0.0, 1.0]))
-    images_m = [8.0 * turn + side * 1.0 for turn in range(-3, 4) for side in (1, -1)]
-    lengths_m = {float(np.hypot(np.longdouble(100), np.longdouble(z - HEIGHT_M))) for z in images_m}
-    nearest = [min(abs(delay * SPEED_OF_LIGHT_M_S - length) for length in lengths_m) for delay in paths.delay_s]
-    reflections = (paths.interactions == SPECULAR).sum(axis=1)
-    assert sorted(reflections) == [0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5], f"reflections a path: {sorted(reflections)}"
-    return float(max(nearest))
-
-
-# the phase in the slab is up to 3000 rad in metal, but nothing of it comes back; 600 rad in concrete
-@GEOMETRY.case("slab coefficients, grazing to normal", limit=1e-12, unit="absolute")
-def _slabs() -> float:
-    """Compiled coefficients against the written-out ones, from grazing to normal incidence, four materials."""
-    errors = []
-    for material, thickness_m in (("glass", 0.01), ("concrete", 0.3), ("metal", 0.05), ("vacuum", 0.1)):
-        for carrier_hz in [ghz_to_hz(ghz) for ghz in CARRIERS_GHZ]:
-            phase_thickness = 2 * np.pi * carrier_hz / SPEED_OF_LIGHT_M_S * thickness_m
-            for cosine in (1e-4, 1e-2, 0.5, 1.0):
-                eta = complex_permittivity(material, carrier_hz)
-                found = slab_coefficients(cosine, eta, phase_thickness)
-                expected = fresnel_slab(material, thickness_m, carrier_hz, cosine)
-                errors.append(np.abs(np.subtract(found, expected)).max())
-    return float(max(errors))
-
-
-# 1 − R² of grazing rays keeps 1e-16 of 1e-6, and is divided by a number as small
-@GEOMETRY.case("slabs without loss keep the energy", limit=1e-9, unit="relative")
-def _energy() -> float:
-    """Difference of |R|² + |T|² from 1 for a slab without loss, at all angles."""
-    errors = []
-    for cosine in np.geomspace(1e-6, 1, 50):
-        r_te, r_tm, t_te, t_tm = slab_coefficients(float(cosine), 6.31 + 0j, 37.0)
-        errors += [abs(abs(r_te) ** 2 + abs(t_te) ** 2 - 1), abs(abs(r_tm) ** 2 + abs(t_tm) ** 2 - 1)]
-    return max(errors)
 
 
 def _needles(num_triangles: int) -> tuple[Float[FloatArray, "V 2"], Int[IntArray, "K 3"]]:

@@ -12,16 +12,16 @@ _NOTE = "Errors against references that share constants, and no code, with what 
 
 def cases() -> tuple[StressCase, ...]:
     """All cases, area by area."""
-    from xfreqbench.bench.stress.channels import MATERIALS, PHASE
+    from xfreqbench.bench.stress.channels import PHASE
     from xfreqbench.bench.stress.continuity import CONTINUITY
     from xfreqbench.bench.stress.diffraction import DIFFRACTION
     from xfreqbench.bench.stress.geometry import GEOMETRY
     from xfreqbench.bench.stress.maps import MAPS
     from xfreqbench.bench.stress.splatting import COMPOSITE, FOOTPRINTS, PROJECTION
-    from xfreqbench.bench.stress.training import ENCODING, TRAINING
+    from xfreqbench.bench.stress.training import TRAINING
 
-    physics = PHASE, MATERIALS, GEOMETRY, DIFFRACTION, CONTINUITY, MAPS
-    learning = COMPOSITE, FOOTPRINTS, PROJECTION, ENCODING, TRAINING
+    physics = PHASE, GEOMETRY, DIFFRACTION, CONTINUITY, MAPS
+    learning = COMPOSITE, FOOTPRINTS, PROJECTION, TRAINING
     return tuple(case for area in (*physics, *learning) for case in area.cases)
 
 

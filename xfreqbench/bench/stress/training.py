@@ -1,8 +1,7 @@
-"""Training at extremes: beams, losses, networks and fields, and encodings of carriers."""
+"""Training at extremes: beams, losses, networks and fields."""
 
 from __future__ import annotations
 
-import math
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +17,6 @@ from xfreqbench.bench.stress.maps import beam, power_map
 from xfreqbench.data.plane_waves import stored_channels
 from xfreqbench.maps.bartlett import PasKind
 from xfreqbench.methods.learning.aperture import ApertureField
-from xfreqbench.methods.learning.encoding import Scaling, positional_encoding
 from xfreqbench.methods.learning.loss import map_loss
 from xfreqbench.methods.learning.low_rank import LowRankConfig
 from xfreqbench.methods.learning.network import PairwiseMLP, WideFreqNetwork
@@ -31,14 +29,7 @@ _PAIRWISE = SplatConfig(network="pairwise", start="random", direct_wave=False, b
 _LOSS_KINDS: tuple[PasKind, ...] = ("power", "amplitude")
 _SINGLE = 5e-6  # as of maps: sums of 136 pairs of elements in float32, of a peak of 1
 _CPU = torch.device("cpu")
-ENCODING = Area("encoding")
 Field = TypeVar("Field", bound=SplatField | ApertureField)
-_BANDS_HZ = {  # lowest and highest carrier of the training band, carriers to be scaled
-    "carriers within the training band": (1e9, 94e9, [1e9, 94e9, 24.25e9]),
-    "carriers outside the training band": (1e9, 94e9, [0.5e9, 0.9e9, 100e9, 300e9]),
-    "band of one carrier": (1e9, 1e9, [1e9, 2e9]),
-    "band of 100 kHz at 24.25 GHz": (24.25e9, 24.25e9 + 1e5, [24.25e9, 24.25e9 + 1e5]),
-}
 
 
 @TRAINING.cases_of(
@@ -165,32 +156,3 @@ def _field_power(field: SplatField | ApertureField, carrier_hz: tuple[float, flo
     """Power of a field for two transmitters, each at one of the carriers, on every fifth row and column."""
     tx_m, carrier = (torch.tensor([[1.0, 2.0, 1.5], [6.0, 4.0, 1.0]]), torch.tensor(carrier_hz, dtype=torch.float64))
     return field.power(tx_m, carrier, GridView(5), Beams(beam(), _CPU))
-
-
-@ENCODING.case(
-    "band of 1 Hz at 24.25 GHz", *(24.25e9, 24.25e9 + 1, [24.25e9, 24.25e9 + 1]), limit=3e-4, unit="absolute"
-)
-@ENCODING.cases_of(_BANDS_HZ, limit=1e-6, unit="absolute")  # some roundings of 6e-8
-def _unit_carriers(low_hz: float, high_hz: float, carrier_hz: list[float]) -> float:
-    """Error of carriers on the logarithmic axis of a training band, against ratios of logarithms.
-
-    Carriers beyond the band are nearer to its middle, and in it from a fifth beyond its end; that of a band of one
-    carrier is 0.
-    """
-    scaling = Scaling()
-    scaling.log_band.copy_(torch.tensor([low_hz, high_hz], dtype=torch.float64).log())
-    found = scaling.unit_carrier(torch.tensor(carrier_hz, dtype=torch.float64))[:, 0]
-    width, inside = math.log1p((high_hz - low_hz) / low_hz), np.clip(carrier_hz, low_hz, high_hz)
-    expected = [2 * math.log1p((carrier - low_hz) / low_hz) / width - 1 if width else 0.0 for carrier in inside]
-    nearness = (1 - np.abs(np.log(carrier_hz / inside)) / math.log(1.2)).clip(min=0)
-    return float((found - torch.tensor(expected * nearness)).abs().max())
-
-
-# the finest octave reaches 2⁹π rad, where float32 is 6e-8 of 1608 off
-@ENCODING.case("positions in ten octaves", limit=2e-4, unit="absolute")
-def _finest_octave() -> float:
-    """Error of ten octaves of positions in [−1, 1] in float32, against double precision."""
-    x = torch.linspace(-1, 1, 501)[:, None]
-    found = positional_encoding(x, 10).double().numpy()
-    angle = x.double().numpy() * math.pi * 2.0 ** np.arange(10)
-    return float(np.abs(found - np.concatenate([x, np.sin(angle), np.cos(angle)], axis=-1)).max())
