@@ -232,19 +232,19 @@ def _length_over(wedges: Wedges, e: int, near: Polar, x: F64) -> float:
 def _gains(context: EdgeContext, path: _EdgePath, f: int, shift: float, work: Work) -> None:
     """Gains at carrier f at all elements, of a path that reaches all of them, to work.gains (M,).
 
-    Where the field hardly changes over the array it is computed at its centre, where it changes a little at the
-    nodes between which it is interpolated, else at every element. `shift` is its change by the metre.
+    A field that hardly changes over the array is computed at its centre, one that changes a little at the nodes between
+    which it is interpolated, and others at every element. `shift` is its change by the metre, relative to its size.
     """
     aperture, gains, corner = context.scene.aperture, work.gains, context.scene.aperture.corner_m[f, 0]
     changes = shift * math.sqrt(corner[0] ** 2 + corner[1] ** 2 + corner[2] ** 2)
     num_nodes, num_elements = aperture.weight.shape
-    # up to about 0.01 the field is computed at the array's centre alone, up to 0.15 it is interpolated over it
-    if num_nodes == num_elements or changes > 0.15:
+    most = 0.01 * work.floor[0] / work.most[f]  # so that the errors of all paths are below 1e-3 of the channel
+    if num_nodes == num_elements or changes * changes > most:
         for m in range(num_elements):
             x, y, z = aperture.element_m[f, 0, m], aperture.element_m[f, 1, m], aperture.element_m[f, 2, m]
             _end_at(path.far, x, y, z, work.end[1])
             gains[m] = _gain(context, path, f, work)
-    elif changes < 0.01:
+    elif changes < most:
         _end_at(path.far, 0.0, 0.0, 0.0, work.end[1])
         at_centre = _gain(context, path, f, work)
         for m in range(num_elements):
@@ -280,14 +280,22 @@ def _bounds(wedges: Wedges, e: int, near: Polar, far: Polar, wavelength_m: F64, 
             out[f] += share * min(1.0, far_off * math.sqrt(wavelength_m[f]))
 
 
-@part
-def _change(wedges: Wedges, e: int, near: Polar, far: Polar) -> float:
+@bare
+def _change(context: EdgeContext, path: _EdgePath, work: Work) -> float:
     """By how much, relative to its size, the field changes where the far end moves by a metre; roughly."""
+    wedges, e, near, far, axis = context.wedges, path.edge, path.near_polar, path.far_polar, work.end[1]
     first, last, n = terms_of(wedges, e, near[2], far[2])
     least = 1.0 if first < last else 0.0
     for term in range(first, last):
         least = min(least, 2.0 * n * abs(off_boundary(n, unfolded(wedges.angle[e], term, near[2], far[2]))))
-    return 1.0 / (far[0] * least + 1e-30)
+    z, along, squared = edge_point(near, far), 0.0, 0.0  # its direction turns fast near the axis of the antenna
+    x, y, up = antenna_of(context.scene.media.antennas[1]).axis
+    for c in range(3):
+        axis[c] = path.far.mirror[c, 0] * x + path.far.mirror[c, 1] * y + path.far.mirror[c, 2] * up
+        way = wedges.start[e, c] + z * wedges.along[e, c] - path.far.image[c]
+        along += way * axis[c]
+        squared += way * way
+    return 1.0 / (min(far[0] * least, math.sqrt(max(squared - along * along, 0.0))) + 1e-30)
 
 
 @part
@@ -304,7 +312,7 @@ def _add_path(context: EdgeContext, path: _EdgePath, limits: Limits, work: Work,
     A carrier at which the corners agree decides for all narrower apertures.
     """
     (real, imag), aperture, reached = sums, context.scene.aperture, MIXED
-    shift = _change(context.wedges, path.edge, path.near_polar, path.far_polar)
+    shift = _change(context, path, work)
     for f in range(num_paths.shape[0]):
         if work.most[f] < work.floor[0]:
             continue

@@ -13,7 +13,7 @@ from .arrays import F64, FAR, I64, MAX_BOXES, Bools
 from .compiled import entry, part, whole
 
 BESIDE_M = 1e-3  # how far beside an edge a facet must reach to count as one of its faces; shorter edges are none
-GROOVE_M = 0.01
+GROOVE_M = 0.01  # gaps in a plane that are narrower have no edges: joints of planks and tiles
 SEAM_M = 1e-6  # by which a facet is wider, so that two that meet in a seam leave no gap
 MIN_TURN_RAD = 1e-3  # by which the angle that is left free exceeds a half turn
 
