@@ -216,9 +216,10 @@ def legend(is_short: bool = False) -> str:
         f"below 0 is worse. Baselines are {', '.join(EVERY_TRIVIAL)}, on the same split. A dash: one of the first "
         f"{len(NEEDED_TRIVIAL)} was not run. In every resample the best is found again",
         "[low, high]": f"95 % interval, from {NUM_RESAMPLES:,} bootstrap resamples. A resample draws squares of the "
-        "floor with all transmitters there, the same ones for every method (paired), and seeds; as seeds are few, their "
-        "spread is widened by Student's t. Squares of 1 m, or of a fifth of a floor below 5 m, because scores of near "
-        "transmitters are alike: 1 m apart, their correlation is half of that of neighbours. Five of a hundred intervals miss the true value",
+        "floor with all transmitters there, the same ones for every method (paired), and seeds; as seeds are few, "
+        "their spread is widened by Student's t. Squares of 1 m, or of a fifth of a floor below 5 m, because scores of "
+        "near transmitters are alike: 1 m apart, their correlation is half of that of neighbours. Five of a hundred "
+        "intervals miss the true value",
         "rank": "the best and the worst place that the differences allow, in a table that is sorted by averages. Two "
         "methods are told apart at 5 %, corrected for the number of all pairs (Holm). Words say why there is no rank: "
         f"fewer than {MIN_SEEDS} seeds (a baseline needs one), or a budget in seconds on another machine than most",
