@@ -234,7 +234,7 @@ def traced_links(
     scene: Scene,
     geometry: Geometry,
     receivers: Sequence[ReceiverArray],
-    tx_m: Sequence[Float[FloatArray, "n 3"]],
+    tx_m: Sequence[Float[FloatArray, "_ 3"]],
     carrier_hz: Sequence[float],
     settings: TraceSettings,
     progress: ProgressCallback,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Complex, Float, Int, Shaped
 
 from xfreqbench.bench.measured import CELL_M, drawn_cells, traced_links
 from xfreqbench.bench.tables import Bench
@@ -43,8 +43,8 @@ class Responses:
     receiver_m: Float[FloatArray, "L 3"]
     cir: Complex[NDArray[np.complex128], "L R N"]
     first_tap: Float[FloatArray, "L"]
-    label: NDArray[np.str_]
-    name: NDArray[np.str_]
+    label: Shaped[NDArray[Any], "L"]
+    name: Shaped[NDArray[Any], "L"]
     tap_s: float
     bandwidth_hz: float
     roll_off: float
@@ -94,7 +94,7 @@ def bench_responses(
     known = np.array([_statistics(found, n, each, level[n]) for n, each in enumerate(found.cir)])
     values, rng = {"measured": known}, np.random.default_rng(seed)
     places_m = np.unique(found.receiver_m, axis=0)
-    rows = [np.flatnonzero((found.receiver_m == place_m).all(axis=1)) for place_m in places_m]
+    rows = [np.flatnonzero((found.receiver_m == place_m).all(axis=1)).tolist() for place_m in places_m]
     ends = [replace(scene.receiver, position_m=tuple(place_m)) for place_m in places_m.tolist()]
     tx_m = [found.tx_m[each] for each in rows]
     for r, nth, paths, kept in traced_links(scene, geometry, ends, tx_m, carrier_hz, settings, progress):
