@@ -149,7 +149,7 @@ def test_a_second_benchmark_in_one_folder_is_refused_before_it_writes_anything(t
 @pytest.mark.slow
 def test_a_measurement_that_fails_is_named_and_made_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     planned = Benchmark("small", folder / "data", folder / "measured")
-    monkeypatch.setitem(benchmarks.BENCHES["stress"], "command", "bench stress --only 'ten octaves'")
+    monkeypatch.setitem(benchmarks.BENCHES["stress"], "command", "bench stress --only 'two carriers 1 Hz'")
 
     class FailsAfterItsTables(InThisProcess):
         def submit(self, call, /, *arguments, **options):
@@ -158,7 +158,7 @@ def test_a_measurement_that_fails_is_named_and_made_again(folder: Path, monkeypa
     with monkeypatch.context() as patch:
         patch.setattr(benchmarks, "LocalProcesses", lambda *_, **__: FailsAfterItsTables())
         (failure,) = benchmarks.measure(planned, "stress")
-    assert failure == "`xfreqbench bench stress --only ten octaves` ended with 1; see above"
+    assert failure == "`xfreqbench bench stress --only two carriers 1 Hz` ended with 1; see above"
     assert not planned.results.stored.benches
     assert benchmarks.measure(planned, "stress") == []
     assert [record.bench for record in planned.results.stored.benches] == ["stress"]

@@ -24,7 +24,7 @@ COMMANDS = [
     ("records.jsonl", "report records.jsonl -o report.md"),
     ("records.jsonl", "run --method nearest --targets 10 --data data.h5 --results . -q"),
     ("records.jsonl", "bench savings -o records.jsonl"),
-    ("records.jsonl", "bench stress --only encoding -o records.jsonl"),
+    ("records.jsonl", "bench stress --only phase -o records.jsonl"),
     ("report.md", "report records.jsonl -o report.md"),
     ("page.html", "report records.jsonl -o report.md --html page.html"),
     ("seen/index.html", "view empty -o seen"),
