@@ -41,6 +41,17 @@ def test_the_office_ships_as_it_would_be_traced_now() -> None:
     assert data.pas(7).max() == 1
 
 
+def test_one_room_ships_as_two_programs_trace_it() -> None:
+    """If not: `docs/sionna.md` has the two commands; their sha256 are in scenes/registry.txt."""
+    sionna, image = (xb.load(f"office_cluttered_{solver}") for solver in ("sionna", "image"))
+    for solver, data in (("sionna", sionna), ("image", image)):
+        assert data.trace_settings.solver == solver
+        assert shipped.registered()[f"office_cluttered_{solver}"].sha256 == pooch.file_hash(data.path)
+    assert "diffuse" in sionna.trace_settings.named_interactions
+    assert (sionna.tx_position_m == image.tx_position_m).all() and (sionna.carrier_hz == image.carrier_hz).all()
+    assert (sionna.cfr != image.cfr).any()
+
+
 @pytest.mark.parametrize(
     ("call", "name", "error", "words"),
     [
