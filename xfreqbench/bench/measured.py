@@ -245,6 +245,7 @@ def traced_links(
     vertical and then of horizontal antennas.
     """
     done, total = 0, sum(map(len, tx_m))
+    depths = range(min(1, settings.max_depth), settings.max_depth + 1)
     for r, (receiver, places_m) in enumerate(zip(receivers, tx_m, strict=True)):
         vertical, horizontal = _alone(scene, receiver, "V"), _alone(scene, receiver, "H")
         tracer = tracer_of(vertical, carrier_hz, settings, geometry)
@@ -252,12 +253,10 @@ def traced_links(
         for n, place_m in enumerate(places_m):
             paths = Paths.joined([each.paths(place_m) for each in both])
             length = (paths.interactions != NO_INTERACTION).sum(axis=1)
-            depths = range(min(1, settings.max_depth), settings.max_depth + 1)
             kept = {f"traced, depth {depth}": length <= depth for depth in depths}
             if "diffraction" in settings.named_interactions:
-                kept[f"traced, depth {depths[-1]}, without diffraction"] = ~(paths.interactions == DIFFRACTION).any(
-                    axis=1
-                )
+                is_diffracted = (paths.interactions == DIFFRACTION).any(axis=1)
+                kept[f"traced, depth {depths[-1]}, without diffraction"] = ~is_diffracted
             yield r, n, paths, kept
             done += 1
             progress(done, total)

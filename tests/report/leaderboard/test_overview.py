@@ -99,7 +99,9 @@ def test_findings_name_the_best_method_and_what_each_part_of_the_papers_idea_add
 
     def adds(*records: RunRecord) -> dict[str, list[float]]:
         idea = findings(*records)[-1]
-        assert re.search(r"learned codes of Gaussians 0\.0(29|30)\d \[0\..* is above and below zero in", idea), idea
+        assert re.search(
+            r"learned codes of Gaussians 0\.0(29|30)\d \[0\..* in 0, 1, 0, [12] of them, in the order", idea
+        ), idea
         text = (tmp_path / "all/paper.md").read_text("utf-8").partition("What each part of the paper's idea adds")[2]
         cells = [line.strip("| ").split(" | ") for line in text.splitlines() if "aids, `" in line]
         return {where.strip(): [float(cell.split()[0]) for cell in row if "[" in cell] for where, *row in cells}

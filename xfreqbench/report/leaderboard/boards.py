@@ -92,12 +92,16 @@ class BoardRow:
         return self.records[0].external is not None
 
     @property
+    def changed(self) -> set[str]:
+        """The options that are not the defaults, but for the device, as texts `key=value`."""
+        return {option for option in self.job.overrides if not option.startswith("device=")}
+
+    @property
     def family(self) -> str:
         """`trivial`, `external`, `ablation` where options other than the device are not the defaults, or `learned`."""
         if self.is_trivial or self.is_external:
             return "trivial" if self.is_trivial else "external"
-        changed = [option for option in self.job.overrides if not option.startswith("device=")]
-        return "ablation" if changed else "learned"
+        return "ablation" if self.changed else "learned"
 
     @property
     def whose(self) -> str:

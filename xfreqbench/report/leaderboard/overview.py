@@ -182,15 +182,13 @@ def papers_idea(of_scene: Sequence[Board]) -> tuple[list[str], list[str]]:
         return [], []
     where, *first = rows[0]
     said = "; ".join(f"{part} {cell}" for part, cell in zip((*parts, every), first, strict=True))
-    certain = ", ".join(
-        f"{sum(low > 0 for low, _ in known)} and {sum(high < 0 for _, high in known)}"
-        for part in (*parts, every)
-        if (known := intervals.get(part))
-    )
+    known = [intervals.get(part, []) for part in (*parts, every)]
+    above = ", ".join(str(sum(low > 0 for low, _ in each)) for each in known)
+    below = ", ".join(str(sum(high < 0 for _, high in each)) for each in known)
     finding = (
         "`xfreq-gs` differs from `fixed-frequency-gs` in three things, and each was taken away alone. It adds to the "
-        f"median SSIM, {where}: {said}. Of the {len(rows)} rows of the table on the page of the paper's claims, with "
-        f"other carriers and aids, the interval is above and below zero in {certain}, in this order."
+        f"median SSIM, {where}: {said}. The page of the paper's claims has {len(rows)} such rows, of other carriers "
+        f"and with our aids: in {above} of them, in the order above, the interval is above zero, in {below} below."
     )
     caption = (
         "Median SSIM of `xfreq-gs` minus that without the part. *All three*: minus that of `fixed-frequency-gs`. A "
@@ -225,18 +223,12 @@ def _changes(
     for (where, _), each in found.items():
         *_, comparison = max(each, key=lambda found: found[:2])
         rows = {row.short_label: row for row in comparison.rows}
-        average = rows[label].average(comparison.splits)
-        yield (
-            _on(where, comparison.splits),
-            {
-                what: (
-                    average - rows[other].average(comparison.splits),
-                    comparison.difference(rows[label], rows[other]),
-                )
-                for what, other in others.items()
-                if other in rows
-            },
-        )
+        changes = {}
+        for what, other in others.items():
+            if other in rows:
+                change = rows[label].average(comparison.splits) - rows[other].average(comparison.splits)
+                changes[what] = change, comparison.difference(rows[label], rows[other])
+        yield _on(where, comparison.splits), changes
 
 
 def _on(where: str, splits: Sequence[str]) -> str:

@@ -82,8 +82,8 @@ def _boards_of(found: RankedResults) -> list[Board]:
 
 def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
     """Whether a row has the named method and, but for the device, the named options and no others."""
-    options = {option for option in row.job.overrides if not option.startswith("device=")}
-    return not row.is_external and row.job.method == named["method"] and options == set(named.get("options", ()))
+    is_method = not row.is_external and row.job.method == named["method"]
+    return is_method and row.changed == set(named.get("options", ()))
 
 
 def _ours(named: Mapping[str, Any], protocol: str, splits: Sequence[str], ranked: Sequence[Board]) -> _Rows:
