@@ -15,12 +15,12 @@ from torch.utils.data import DataLoader
 
 from tests.support.damage import flip
 from tests.support.synthetic import write_dataset
-from xfreqbench.cli.data import GenerateArguments, generate, info
+from xfreqbench.cli.data import GenerateArguments, generate, info, sealed
 from xfreqbench.data.collection import FILE, PARTS, Collection, Room, open_collection, room_of, write_collection
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.retrace import drawn_rows, require_origin
 from xfreqbench.data.rooms import generate_rooms
-from xfreqbench.errors import ArgumentError, DataError, OutputExistsError, UnknownNameError
+from xfreqbench.errors import ArgumentError, DataError, OutputExistsError, UnknownNameError, XFreqBenchError
 from xfreqbench.methods.learning.samples import to_torch
 from xfreqbench.scene.drawn_rooms import draw_room
 from xfreqbench.scene.families import load_family
@@ -206,3 +206,19 @@ def test_the_command_generates_says_what_it_takes_and_describes(
     said = capsys.readouterr().out
     assert "rooms     3: " in said
     assert "every hash holds" in said
+
+
+def test_sealed_rooms_follow_from_the_release_the_family_and_a_public_number(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def command(release: str, number: str) -> str:
+        sealed(release, reveal=number)
+        return capsys.readouterr().out
+
+    first = command("0.2", "0a" * 32)
+    assert first == command("0.2", "0A" * 32 + "\n")
+    assert len({first, command("0.3", "0a" * 32), command("0.2", "0b" * 32)}) == 3
+    seed = int(first.split("--seed ")[1].split()[0])
+    draw_room(load_family("rooms"), seed)  # which raises if it cannot be
+    with pytest.raises(XFreqBenchError, match="64 hexadecimal digits"):
+        sealed("0.2", reveal="soon")

@@ -59,6 +59,28 @@ def scenes(
         print(f"{shipped:12} {description}")
 
 
+@app.command(group=DATA, help_epilogue=example("sealed 0.2 --reveal $RANDOMNESS"))
+def sealed(release: str, *, reveal: str, family: str = "rooms") -> None:
+    """Print the command that draws the sealed rooms of a release: rooms that nobody could know before a certain day.
+
+    Parameters
+    ----------
+    reveal
+        The public random number of that day, 64 hexadecimal digits; docs/rooms.md says which it is.
+    family
+        A shipped family's name, or the path of a family's TOML.
+    """
+    import hashlib
+    import re
+
+    from xfreqbench.scene.families import load_family
+
+    if not re.fullmatch("[0-9a-f]{64}", number := reveal.strip().lower()):
+        raise XFreqBenchError(f"{reveal!r} is no random number of drand, which has 64 hexadecimal digits.")
+    digest = hashlib.sha256(f"{release} {load_family(family).sha256} {number}".encode()).hexdigest()
+    print(f"xfreqbench generate {family} --rooms 1000 --seed {int(digest[:6], 16)} --tx 88 -o sealed-{release}")
+
+
 @with_help
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GenerateArguments(GenerateOptions):

@@ -124,6 +124,36 @@ def test_findings_name_the_best_method_and_what_each_part_of_the_papers_idea_add
     assert few_carriers == pytest.approx([-0.1], abs=2e-3)
 
 
+def test_rooms_traced_by_several_programs_and_measured_maps_stand_beside_each_other(tmp_path: Path) -> None:
+    def stored(scene: str, protocol: str, recipe: str, settings: dict[str, str], ours: float) -> list[RunRecord]:
+        shifts = {"mine": ours, "weak": -0.1} | dict.fromkeys(NEEDED_TRIVIAL, 0.0)
+        known = {"scene": scene, "recipe": f"1-{recipe * 64}", "dataset_sha256": recipe * 64, "settings": settings}
+        return [
+            with_job(record.model_copy(update={**known, "id": recipe + record.id}), protocol=protocol, split=protocol)
+            for method, shift in shifts.items()
+            for record in of_three_seeds(method, shift, len(method))
+        ]
+
+    traced = [
+        record
+        for solver, recipe, ours in (("image", "a", 0.1), ("sionna", "b", 0.04))
+        for record in stored("room", "held-out-tx", recipe, {"solver": solver}, ours)
+    ]
+    other = stored("hall", "held-out-tx", "c", {"solver": "image"}, 0.1)
+    measured = stored("tags", "held-out-tx", "d", {"imported_from": "PNG layout"}, -0.02)
+    text = report_text(store(tmp_path, *traced, *other, *measured), tmp_path / "all")
+    (mine,) = (row for row in rows_of(text, "mine") if "tags, held-out-tx" in row)
+    assert mine.keys() == {"", "room, held-out-tx, image", "room, held-out-tx, sionna", "tags, held-out-tx"}
+    by_ours, by_sionna, on_tags = (
+        [float(number) for number in re.findall(r"-?[\d.]+", cell)] for cell in list(mine.values())[1:]
+    )
+    assert by_ours[0] == by_sionna[0] == 1 and by_ours[1] == pytest.approx(0.5, abs=0.02)  # of an error of .2
+    assert by_sionna[1] == pytest.approx(0.2, abs=0.02) and on_tags[1] == pytest.approx(-0.1, abs=0.02)
+    assert re.search(r"On measured maps, .* \(`held-out-tx`\) `mine` has a skill of -0\..*; 0 of 2 methods are", text)
+    alone = report_text(store(tmp_path / "alone", *traced[: len(traced) // 2], *other), tmp_path / "all")
+    assert "Other truth" not in alone
+
+
 def test_a_warning_is_said_in_the_same_sentence_as_the_praise(tmp_path: Path) -> None:
     records = [*of_three_seeds("virtual-source", 0.1, 1), *of_three_seeds("xfreq-gs", 0.0, 20)]
     write_report(store(tmp_path, *records), tmp_path / "B.md", tmp_path / "all")

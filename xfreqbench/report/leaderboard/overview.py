@@ -42,6 +42,7 @@ def overview_markdown(
         *_main_board(compared, pages, scene),
         *_worth(next((each for each in compared if each.board.scene == scene), None)),
         *_skill_matrix(compared),
+        *_other_truths(ranked),
         *rooms_overview(benches, pages.get(ROOMS, "")),
         *_time(of_scene, pages),
         claims,
@@ -64,17 +65,17 @@ def main_scene(ranked: Sequence[Board]) -> str:
 def main_boards(ranked: Sequence[Board]) -> list[Board]:
     """Of the boards of each scene and protocol, which differ in data and budgets, that with most runs but ablations.
 
-    A board with ablations alone is none of them.
+    Of two with equally many it is that with more test maps. A board with ablations alone is none of them.
     """
     by_place: dict[tuple[str, str], list[Board]] = {}
     for board in ranked:
         if any(row.family != "ablation" for row in board.rows):
             by_place.setdefault((board.scene, board.protocol), []).append(board)
 
-    return [
-        max(boards, key=lambda board: sum(len(row.records) for row in board.rows if row.family != "ablation"))
-        for boards in by_place.values()
-    ]
+    def size(board: Board) -> tuple[int, int]:
+        return sum(len(row.records) for row in board.rows if row.family != "ablation"), board.records[0].num_test
+
+    return [max(boards, key=size) for boards in by_place.values()]
 
 
 def _first_comparison(board: Board) -> Comparison:
@@ -107,6 +108,7 @@ def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board]) -> list
         *_best(known.get("lofo"), compared),
         *_elsewhere(known.get("held-out-tx"), "At transmitters that were never heard"),
         *_elsewhere(known.get("held-out-block"), "Where whole regions of the room were never heard"),
+        *_elsewhere(next(filter(_is_measured, compared), None), "On measured maps, at transmitters never heard"),
         *papers_idea(of_scene)[0],
         *_as_it_is(of_scene),
     ]
@@ -323,6 +325,44 @@ def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
     dash = " A dash: these records have no such run." if any(ABSENT in row for row in rows) else ""
     caption = f"Average skill on the splits that most methods share{budget}.{dash}"
     return [f"## Skill on every scene and protocol\n\n{caption}\n\n{table(['board', *methods], rows)}"]
+
+
+def _is_measured(comparison: Comparison) -> bool:
+    """Whether the maps were not traced here, but published by others, and nobody held out a whole region."""
+    return "imported_from" in comparison.board.settings and comparison.board.protocol == "held-out-tx"
+
+
+def _other_truths(ranked: Sequence[Board]) -> list[str]:
+    """Rank and skill of every method on maps that others published, and where a room was traced by several programs."""
+    by_place: dict[tuple[str, str, str, int], list[Board]] = {}
+    for board in ranked:
+        by_place.setdefault((board.scene, board.protocol, board.lane, board.records[0].num_test), []).append(board)
+    compared = [
+        _first_comparison(board)
+        for boards in by_place.values()
+        for board in boards
+        if "imported_from" in board.settings or len({each.settings.get("solver") for each in boards}) > 1
+    ]
+    methods = list(dict.fromkeys(row.short_label for each in compared for row in _fitted(each)))
+    if not methods:
+        return []
+    header, baselines, body = [""], ["best baseline"], [[method] for method in methods]
+    for each in compared:
+        by_label = {row.short_label: row for row in each.rows}
+        header.append(
+            ", ".join(filter(None, [each.board.scene, each.board.protocol, each.board.settings.get("solver")]))
+        )
+        best = next(row for row in each.rows if row.is_trivial)
+        baselines.append(f"{best.short_label} {number(best.average(each.splits), 3)}")
+        rank, skill = columns(each, ("rank", "skill"))
+        for cells in body:
+            row = by_label.get(cells[0])
+            cells.append(f"{rank.text(row)}: {skill.cell(row)}" if row else ABSENT)
+    caption = (
+        "Rank among all methods and baselines, and skill; first the best baseline with its median SSIM. Columns with "
+        "a solver are of one room and the same transmitters, those without of maps that others published."
+    )
+    return [f"## Other truth\n\n{caption}\n\n{table(header, [baselines, *body])}"]
 
 
 def _time(of_scene: Sequence[Board], pages: Mapping[str, str]) -> list[str]:
