@@ -294,7 +294,7 @@ def _room_commands(rooms: Collection, written: Path) -> list[str]:
         family = FAMILY
         told = {"description": f"Family {record.name}.", **record.family}
         del told["drawing"]
-        (written / family).write_text(_toml(told), encoding="utf-8")
+        (written / family).write_text(_toml(json.dumps(told)), encoding="utf-8")
     flags = ["--paths"] * options.pop("paths") + ["--maps"] * options.pop("maps") + ["--output", rooms.path.name]
     starts = [number for number, seed in enumerate(seeds) if seed - 1 not in seeds]
     asked = {"freqs": _ghz(record.carrier_hz), **options}
@@ -345,33 +345,18 @@ def _dataset_command(dataset: PasDataset, name: str, written: Path) -> list[str]
     }
     flags = ["--paths"] * header.paths + ["--no-maps"] * (not header.maps)
     if not ships:
-        (written / SCENE).write_text(_toml(json.loads(header.scene_json)), encoding="utf-8")
+        (written / SCENE).write_text(_toml(header.scene_json), encoding="utf-8")
     return [_generate(header.scene_name if ships else SCENE, options, flags)]
 
 
-def _toml(scene: dict[str, Any]) -> str:
-    """A scene's JSON as a TOML file: its tables are the receiver, the transmitters, each surface and each material."""
+def _toml(text: str) -> str:
+    """A scene's or family's JSON as a TOML file, which has no nulls."""
+    import tomli_w
 
-    def value(given: Any) -> str:
-        if isinstance(given, dict):
-            return f"{{ {', '.join(f'{key} = {value(each)}' for key, each in given.items() if each is not None)} }}"
-        if isinstance(given, list):
-            return f"[{', '.join(map(value, given))}]"
-        return json.dumps(given, ensure_ascii=False)
-
-    def is_table(given: Any) -> bool:
-        return isinstance(given, dict) or (isinstance(given, list) and bool(given) and isinstance(given[0], dict))
-
-    told = {key: each for key, each in scene.items() if each is not None}
+    told = json.loads(text, object_hook=lambda table: {key: each for key, each in table.items() if each is not None})
     if others := told.pop("other_receivers", []):
         told["receiver"] = [told["receiver"], *others]
-    lines = [f"{key} = {value(each)}" for key, each in told.items() if not is_table(each)]
-    for key, each in told.items():
-        if is_table(each):
-            for table in each if isinstance(each, list) else [each]:
-                lines += ["", f"[[{key}]]" if isinstance(each, list) else f"[{key}]"]
-                lines += [f"{name} = {value(entry)}" for name, entry in table.items() if entry is not None]
-    return "\n".join(lines) + "\n"
+    return tomli_w.dumps(told)
 
 
 def _card(content: _Content, license_id: str, written: Path) -> str:
