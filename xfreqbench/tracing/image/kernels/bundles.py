@@ -1,7 +1,7 @@
 """Kernels that follow a bundle of paths through a scene: one path, four, or those to the corners of the array.
 
 It is done in three steps: fold the paths, gather the facets that they may meet, and decide which they do. What was
-gathered for the corners serves every element between them, at every carrier.
+gathered for the corners serves every element between them.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from .compiled import bare, part
 from .tree import SLACK_M, Bundle, beyond_edges, next_leaf, side_of, tube_between
 
 NOWHERE, MIXED, EVERYWHERE = 0, -1, 1  # at which elements paths arrive
+UNKNOWN, MIRRORS, SLABS = 0, 1, 2  # what is gathered for a bundle of paths: with slabs, mirrors too
 
 
 @part
@@ -48,7 +49,7 @@ def _reflect(facets: Facets, p: int, j: int, n: int, bundle: Bundle, vertex: F64
 
 
 @bare
-def fold(facets: Facets, path: Path, offset_m: F64, bundle: Bundle, walk: Walk) -> int:
+def _fold(facets: Facets, path: Path, offset_m: F64, bundle: Bundle, walk: Walk) -> int:
     """Fold the lines from the starts to the images of the elements at `offset_m` (K, 3) into the room.
 
     EVERYWHERE where all of them meet all planes of the path, NOWHERE where none does.
@@ -172,7 +173,7 @@ def _counts(facets: Facets, q: int, s: int, met: F64, number: int, path: Path, w
 
 
 @bare
-def gather_slabs(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
+def _gather_slabs(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
     """Look up the facets that the folded paths may cross.
 
     NOWHERE where all of them cross an opaque one, or more than they may; MIXED if too many are met. Facets in the
@@ -261,7 +262,7 @@ def _shortest_stretch(facets: Facets, n: int, k: int, walk: Walk) -> float:
 
 
 @bare
-def decide(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
+def _decide(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
     """Whether folded paths reach EVERYWHERE, NOWHERE or, MIXED, only some of their ends.
 
     With `CORNERS`, EVERYWHERE and NOWHERE hold for all elements between them: the point where a path meets a plane is
@@ -300,15 +301,23 @@ def decide(facets: Facets, path: Path, bundle: Bundle, walk: Walk) -> int:
 
 
 @bare
-def follow(facets: Facets, path: Path, offset_m: F64, are_mirrors_gathered: bool, bundle: Bundle, walk: Walk) -> int:
-    """Whether paths reach the elements at `offset_m` (K, 3), for which no slabs were gathered, nor perhaps mirrors."""
-    verdict = fold(facets, path, offset_m, bundle, walk)
-    if verdict == EVERYWHERE and not are_mirrors_gathered:
-        verdict = gather_mirrors(facets, path, bundle, walk)
+def follow(facets: Facets, path: Path, offset_m: F64, gathered: int, bundle: Bundle, walk: Walk) -> tuple[int, int]:
+    """Whether paths reach the elements at `offset_m` (K, 3), as `_decide` has it, and what is gathered for them then.
+
+    `gathered` is what was for a bundle in which they lie.
+    """
+    verdict = _fold(facets, path, offset_m, bundle, walk)
     if verdict != EVERYWHERE:
-        return verdict
-    for j in range(path.length):
-        if _hit(facets, j, bundle, walk) == -1:
-            return NOWHERE
-    verdict = gather_slabs(facets, path, bundle, walk)
-    return decide(facets, path, bundle, walk) if verdict == EVERYWHERE else verdict
+        return verdict, gathered
+    if gathered < MIRRORS:
+        verdict = gather_mirrors(facets, path, bundle, walk)
+        if verdict != EVERYWHERE:
+            return verdict, UNKNOWN
+    if gathered < SLABS:
+        for j in range(path.length):
+            if _hit(facets, j, bundle, walk) == -1:
+                return NOWHERE, MIRRORS
+        verdict = _gather_slabs(facets, path, bundle, walk)
+        if verdict != EVERYWHERE:
+            return verdict, MIRRORS
+    return _decide(facets, path, bundle, walk), SLABS

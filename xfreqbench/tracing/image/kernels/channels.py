@@ -7,7 +7,7 @@ import numpy as np
 from xfreqbench.tracing.paths import REFRACTION, SPECULAR
 
 from .arrays import BLOCK, F64, I32, I64, CentrePath, Facets, Media, Path, SceneArrays, Sums, Walk, new_walk
-from .bundles import EVERYWHERE, MIXED, NOWHERE, decide, fold, follow, gather_mirrors, gather_slabs
+from .bundles import EVERYWHERE, MIXED, NOWHERE, UNKNOWN, follow
 from .compiled import bare, entry, whole
 from .fields import Image, gains, interpolate, spread
 from .sequences import Trie, candidates_of, line_of
@@ -28,49 +28,30 @@ def met_of(length: int, walk: Walk) -> int:
 
 
 @bare
-def _add_to_some(
-    scene: SceneArrays, path: Path, f: int, image: Image, are_gathered: tuple[bool, bool], walk: Walk, sums: Sums
-) -> bool:
+def _add_to_some(scene: SceneArrays, path: Path, f: int, image: Image, gathered: int, walk: Walk, sums: Sums) -> bool:
     """Add a path at carrier f to those of the elements that it reaches; False where it is heard at none.
 
-    It is decided for each quad of neighbours at once, where they agree. `are_gathered` says whether
-    the mirrors and the slabs that the path may meet on its way to any of the elements were gathered.
+    It is decided for each quad of neighbours at once, where they agree. `gathered` is what was for all elements.
     """
     facets, media, aperture, quads = scene
-    (has_mirrors, has_slabs), (real, imag), own = are_gathered, sums, walk.own
+    (real, imag), own = sums, walk.own
     element_m, wavelength_m, num_elements = aperture.element_m[f], aperture.wavelength_m[f], real.shape[0]
     first = aperture.node_m.shape[1] + f * num_elements
-    four, is_heard, met, known = walk.four, False, 0, -1
+    four, is_heard, known = walk.four, False, -1
     for b in range(quads.shape[0]):
-        quad = quads[b]
+        quad, reach, at_quad = quads[b], MIXED, gathered
         for k in range(4):
             for a in range(3):
                 four[k, a] = element_m[a, quad[k]]
-        reach, is_gathered = MIXED, has_slabs
         if quad[0] < quad[3]:  # else it is a single element
-            reach = fold(facets, path, four, QUAD, walk)
-        if reach == EVERYWHERE and not has_mirrors:
-            reach = gather_mirrors(facets, path, QUAD, walk)
-        if reach == EVERYWHERE and not has_slabs:
-            reach = gather_slabs(facets, path, QUAD, walk)
-            is_gathered = reach == EVERYWHERE
-        if reach == EVERYWHERE:
-            reach = decide(facets, path, QUAD, walk)
-        if reach == NOWHERE:
-            continue
+            reach, at_quad = follow(facets, path, four, gathered, QUAD, walk)
         last = -1
-        for k in range(4):
+        for k in range(4 if reach != NOWHERE else 0):
             e = quad[k]
             if e <= last:  # there again, at the rim of an odd number of elements
                 continue
             last = e
-            lone = four[k : k + 1]
-            if reach == MIXED and is_gathered:
-                if fold(facets, path, lone, LONE, walk) != EVERYWHERE:
-                    continue
-                if decide(facets, path, LONE, walk) != EVERYWHERE:
-                    continue
-            elif reach == MIXED and follow(facets, path, lone, has_mirrors, LONE, walk) != EVERYWHERE:
+            if reach == MIXED and follow(facets, path, four[k : k + 1], at_quad, LONE, walk)[0] != EVERYWHERE:
                 continue
             met = met_of(path.length, walk)
             if met != known:  # else the waves at all elements are known, which meet the same
@@ -96,20 +77,11 @@ def _add_path(scene: SceneArrays, path: Path, share: bool, walk: Walk, sums: Sum
         x * mirror[0, 1] + y * mirror[1, 1] + z * mirror[2, 1],
         x * mirror[0, 2] + y * mirror[1, 2] + z * mirror[2, 2],
     )
-    has_slabs = has_mirrors = False
+    gathered = UNKNOWN
     for f in range(num_carriers):
         if share and reach == MIXED:
             # what wider corners gathered is not used: whether the field is interpolated would depend on them
-            reach = fold(facets, path, aperture.corner_m[f], CORNERS, walk)
-            if reach == EVERYWHERE:
-                has_slabs = False
-                reach = gather_mirrors(facets, path, CORNERS, walk)
-                has_mirrors = reach == EVERYWHERE
-                if has_mirrors:
-                    reach = gather_slabs(facets, path, CORNERS, walk)
-                    has_slabs = reach == EVERYWHERE
-            if reach == EVERYWHERE:
-                reach = decide(facets, path, CORNERS, walk)
+            reach, gathered = follow(facets, path, aperture.corner_m[f], UNKNOWN, CORNERS, walk)
             if reach == EVERYWHERE:
                 first, last = f * num_nodes, num_carriers * num_nodes
                 gain = walk.gain[:, first:last]
@@ -132,8 +104,7 @@ def _add_path(scene: SceneArrays, path: Path, share: bool, walk: Walk, sums: Sum
                 size += abs(walk.own[0, e]) + abs(walk.own[1, e])
             num_paths[f] += size > 0.0
         else:
-            are_gathered = has_mirrors, has_slabs
-            num_paths[f] += _add_to_some(scene, path, f, image, are_gathered, walk, own_sums)
+            num_paths[f] += _add_to_some(scene, path, f, image, gathered, walk, own_sums)
 
 
 @entry
@@ -191,7 +162,7 @@ def paths_to_centre(
     for c in range(candidates_of(trie, tx, found)):
         length = line_of(facets, trie, found[c], walk)
         path = Path(length, walk.plane, walk.image, walk.mirror)
-        if follow(facets, path, centre, False, LONE, walk) == EVERYWHERE:
+        if follow(facets, path, centre, UNKNOWN, LONE, walk)[0] == EVERYWHERE:
             gains(facets, media, path, centres, 0, num_carriers, walk, walk.gain)
             code, met, point = (np.zeros(max_depth, np.int64), np.full(max_depth, -1), np.full((max_depth, 3), np.nan))
             list_interactions(walk, length, False, 0, surface, code, met, point)

@@ -32,7 +32,7 @@ from .arrays import (
     Walk,
     new_walk,
 )
-from .bundles import EVERYWHERE, follow, gather_mirrors
+from .bundles import EVERYWHERE, UNKNOWN, follow, gather_mirrors
 from .channels import list_interactions
 from .compiled import bare, entry
 from .fields import antenna_field, antenna_of, element_gain, specular_share, spread
@@ -130,7 +130,7 @@ def _reach(
         )  # in its plane alone
         walk.four[0, a] = 0.0
     path = Path(length, walk.plane, image, walk.mirror)
-    if most < length or follow(facets, path, walk.four[:1], False, LONE, walk) != EVERYWHERE:
+    if most < length or follow(facets, path, walk.four[:1], UNKNOWN, LONE, walk)[0] != EVERYWHERE:
         return -1
     for s in range(path.length + 1):
         length += walk.num_crossed[s]

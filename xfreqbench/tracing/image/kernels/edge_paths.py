@@ -16,7 +16,7 @@ import numpy as np
 from xfreqbench.tracing.paths import DIFFRACTION
 
 from .arrays import BLOCK, C128, F64, I32, I64, CentrePath, Path, SceneArrays, Sums, Walk, new_walk
-from .bundles import EVERYWHERE, MIXED, NOWHERE, follow
+from .bundles import EVERYWHERE, MIXED, NOWHERE, UNKNOWN, follow
 from .channels import list_interactions, met_of
 from .compiled import bare, entry, lane, part, whole
 from .edge_sides import MAX_SIDE_PLANES, Reflectors, Sides, sides_of
@@ -25,6 +25,8 @@ from .slabs import cosine_and_sine, reflect, transmit
 from .tree import CORNERS, LONE, QUAD, Bundle
 from .wedges import Polar, Wedges, diffract, edge_point, off_boundary, place, polar, terms_of, unfolded
 
+Halves = tuple[int, int]  # what is gathered for either half of paths
+NEITHER: Halves = (UNKNOWN, UNKNOWN)
 ARRAY_REACH = 1.6  # π/2 and some: an arc about an edge, over its array's radius, beyond which the array has one side
 
 
@@ -130,15 +132,18 @@ def _meets(wedges: Wedges, e: int, near: Polar, far_end: F64) -> tuple[int, floa
 
 
 @bare
-def _reach(context: EdgeContext, path: _EdgePath, offset_m: F64, max_depth: int, bundle: Bundle, work: Work) -> int:
+def _reach(
+    context: EdgeContext, path: _EdgePath, offset_m: F64, gathered: Halves, max_depth: int, bundle: Bundle, work: Work
+) -> tuple[int, Halves]:
     """Whether paths of at most `max_depth` interactions reach EVERYWHERE, NOWHERE or, MIXED, only some ends.
 
-    `offset_m` (K, 3) are offsets of the elements. `_begin_at` was called for the edge. What the paths meet is left in
-    `work`.
+    `offset_m` (K, 3) are offsets of the elements; `gathered` is what was for the halves of a bundle in which the paths
+    lie, and what then is for theirs is returned too. `_begin_at` was called for the edge. What the paths meet is left
+    in `work`.
     """
     facets, wedges, e, near = context.scene.facets, context.wedges, path.edge, path.near_polar
     if near[0] <= 1e-9 or near[2] == 0.0 or near[2] == wedges.angle[e]:
-        return NOWHERE
+        return NOWHERE, gathered
     num_met, num_inside, common = 0, 0, 7
     for k in range(len(bundle)):
         _end_at(path.far, offset_m[k, 0], offset_m[k, 1], offset_m[k, 2], work.end[1])
@@ -149,18 +154,19 @@ def _reach(context: EdgeContext, path: _EdgePath, offset_m: F64, max_depth: int,
         for c in range(3):
             work.near.start[k, c] = work.far.start[k, c] = wedges.start[e, c] + z * wedges.along[e, c]
     if num_met < len(bundle):
-        return NOWHERE if common != 0 else MIXED
+        return (NOWHERE if common != 0 else MIXED), gathered
     if 0 < num_inside < len(bundle):
-        return MIXED
+        return MIXED, gathered
     work.near.limit[0] = max_depth - 1 - path.near.length - path.far.length
-    verdict = follow(facets, path.near, work.zeros, False, bundle, work.near)
-    if verdict != EVERYWHERE:
-        return verdict
-    num_crossed = 0
-    for s in range(path.near.length + 1):
-        num_crossed += work.near.num_crossed[s]
-    work.far.limit[0] = work.near.limit[0] - num_crossed
-    return follow(facets, path.far, offset_m, False, bundle, work.far)
+    before, at_near = follow(facets, path.near, work.zeros, gathered[0], bundle, work.near)
+    if before == NOWHERE:
+        return NOWHERE, gathered
+    work.far.limit[0] = work.near.limit[0]
+    if before == EVERYWHERE:
+        for s in range(path.near.length + 1):
+            work.far.limit[0] -= work.near.num_crossed[s]
+    after, at_far = follow(facets, path.far, offset_m, gathered[1], bundle, work.far)
+    return (before if after == EVERYWHERE else after), (at_near, at_far)
 
 
 @bare
@@ -311,13 +317,14 @@ def _add_path(context: EdgeContext, path: _EdgePath, limits: Limits, work: Work,
 
     A carrier at which the corners agree decides for all narrower apertures.
     """
-    (real, imag), aperture, reached = sums, context.scene.aperture, MIXED
+    (real, imag), aperture, reached, gathered = sums, context.scene.aperture, MIXED, NEITHER
     shift = _change(context, path, work)
     for f in range(num_paths.shape[0]):
         if work.most[f] < work.floor[0]:
             continue
         if limits.share and reached == MIXED:
-            reached = _reach(context, path, aperture.corner_m[f], limits.max_depth, CORNERS, work)
+            corner_m = aperture.corner_m[f]
+            reached, gathered = _reach(context, path, corner_m, NEITHER, limits.max_depth, CORNERS, work)
         if reached == NOWHERE:
             break
         is_heard, own_sums, fade = False, (real[f], imag[f]), _fade(work, f)
@@ -326,13 +333,20 @@ def _add_path(context: EdgeContext, path: _EdgePath, limits: Limits, work: Work,
             for m in range(real.shape[1]):
                 is_heard |= _add_element(context, path, f, m, fade, work, own_sums)
         else:
-            is_heard = _add_to_some(context, path, f, shift, limits.max_depth, work, own_sums)
+            is_heard = _add_to_some(context, path, f, shift, gathered, limits.max_depth, work, own_sums)
         num_paths[f] += is_heard
 
 
 @bare
 def _add_to_some(
-    context: EdgeContext, path: _EdgePath, f: int, shift: float, max_depth: int, work: Work, sums: Sums
+    context: EdgeContext,
+    path: _EdgePath,
+    f: int,
+    shift: float,
+    gathered: Halves,
+    max_depth: int,
+    work: Work,
+    sums: Sums,
 ) -> bool:
     """Add a path at carrier f to those of the elements that it reaches; False where it is heard at none.
 
@@ -345,19 +359,19 @@ def _add_to_some(
         num_inside += polar(wedges, path.edge, work.end[1])[2] > wedges.angle[path.edge]
     is_heard, known, fade = False, -1, _fade(work, f)
     for b in range(quads.shape[0]):
-        quad, reached = quads[b], MIXED
+        quad, reached, at_quad = quads[b], MIXED, gathered
         for k in range(4):
             for c in range(3):
                 work.four[k, c] = context.scene.aperture.element_m[f, c, quad[k]]
         if quad[0] < quad[3]:  # else it is a single element
-            reached = _reach(context, path, work.four, max_depth, QUAD, work)
+            reached, at_quad = _reach(context, path, work.four, gathered, max_depth, QUAD, work)
         last = -1
         for k in range(4 if reached != NOWHERE else 0):
             m, lone = quad[k], work.four[k : k + 1]
             if m <= last:  # there again, at the rim of an odd number of elements
                 continue
             last = m
-            if reached == MIXED and _reach(context, path, lone, max_depth, LONE, work) != EVERYWHERE:
+            if reached == MIXED and _reach(context, path, lone, at_quad, max_depth, LONE, work)[0] != EVERYWHERE:
                 continue
             met = (met_of(path.near.length, work.near) * 31 + met_of(path.far.length, work.far)) & 0x7FFF_FFFF_FFFF_FFFF
             if 0 < num_inside < 4:
@@ -482,7 +496,7 @@ def paths_over_edges(
                 path = _path_over(e, near, a, far, b)
                 if not _may_count(context, path, near.most[a], far.most[b], work):
                     continue
-                if _reach(context, path, centre, depth, LONE, work) != EVERYWHERE:
+                if _reach(context, path, centre, NEITHER, depth, LONE, work)[0] != EVERYWHERE:
                     continue
                 code, met, point = np.zeros(depth, np.int64), np.full(depth, -1), np.full((depth, 3), np.nan)
                 at = list_interactions(work.near, path.near.length, True, 0, surface, code, met, point)

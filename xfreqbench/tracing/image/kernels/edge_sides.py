@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .arrays import F64, FAR, I16, I64, Facets, Path, new_walk
-from .bundles import EVERYWHERE, follow
+from .bundles import EVERYWHERE, UNKNOWN, follow
 from .compiled import bare, entry, part, whole, within
 from .sequences import mirrored_offsets
 from .tree import LONE, beyond_edges
@@ -357,7 +357,7 @@ def open_spans(facets: Facets, wedges: Wedges, sides: Sides, offset: F64, max_de
             for c in range(3):
                 walk.start[0, c] = wedges.start[e, c] + z * wedges.along[e, c]
             for o in range(len(offset)):
-                if follow(facets, path, offset[o : o + 1], False, LONE, walk) == EVERYWHERE:
+                if follow(facets, path, offset[o : o + 1], UNKNOWN, LONE, walk)[0] == EVERYWHERE:
                     low, high = min(low, z), max(high, z)
                     break
         spans[s - first, 0] = max(sides.span[s, 0], low - width / number)
