@@ -18,7 +18,6 @@ from xfreqbench.errors import DataError, StorageError
 from xfreqbench.runs.records import BenchFigure, BenchPoint, read
 
 ROUNDING = 1e-12  # the same paths in another order of the candidates, in double precision
-MAP_ROUNDING = 1e-5  # products in single precision
 INTERPOLATED_DB = 60  # of maps: the bar of the generator's defaults is 30 dB at the 5th percentile
 SHARED_DB = 40  # rays launched for other apertures or from other ends find other faint paths
 
@@ -57,11 +56,6 @@ def test_each_saving_of_the_image_method_leaves_the_maps_where_they_were(work: W
 def test_diffuse_reflection_changes_the_channels_and_most_of_it_comes_without_a_mirror(work: Workload) -> None:
     (all_of_it, _), (over_mirrors, _) = map(moved, efficiency.diffuse_savings(work.few(1, 1)))
     assert all_of_it > over_mirrors > 1e-3
-
-
-def test_savings_of_the_maps_change_rounding_alone(work: Workload) -> None:
-    for saving in efficiency.map_savings(work.few(2, 1)):
-        assert float(saving.change.rpartition(" ")[2]) <= MAP_ROUNDING
 
 
 @pytest.mark.slow

@@ -114,7 +114,6 @@ def bench_savings(bench: Bench) -> None:
         for saving in chain(
             image_savings(office_workload("image")),
             diffuse_savings(office_workload("image", num_tx=4)),  # what diffuse reflection costs, which is off
-            map_savings(office_workload("image", num_tx=6)),
             _sionna_savings(office_workload("sionna")),
         ):
             table.add(*saving)
@@ -223,37 +222,13 @@ def shooting_from_the_receiver(work: Workload) -> Saving:
     return work.saving("sionna: rays from the receiver", timed, forward, work.channel)
 
 
-def map_savings(work: Workload) -> Iterator[Saving]:
-    """Savings of maps: steering vectors that are kept, and one product for all channels."""
-    cfr = work.channel().reshape(-1, work.scene.receiver.num_elements)
-    kept = _beam(work.scene)
-
-    def one_by_one(beam_of: Callable[[], BartlettBeam]) -> Float[NDArray[np.float32], "N E A"]:
-        return np.concatenate([beam_of().maps(row[None])[0] for row in cfr])
-
-    anew_s, anew = timed_s(lambda: one_by_one(lambda: _beam(work.scene)))
-    singly_s, singly = timed_s(lambda: one_by_one(lambda: kept))
-    together_s, together = timed_s(lambda: kept.maps(cfr)[0])
-    for name, off_s, on_s, off, on in (
-        ("maps: steering vectors kept", anew_s, singly_s, anew, singly),
-        ("maps: one product for all samples", singly_s, together_s, singly, together),
-    ):
-        change = f"maps: at most {np.abs(on - off).max():.0e}"
-        yield _saving(name, f"maps; {work.size}", off_s, on_s, len(cfr), change)
-
-
-def _beam(scene: Scene) -> BartlettBeam:
-    """Beams of the scene's array towards the hemisphere."""
-    return BartlettBeam(scene.receiver.element_position_wavelengths, AngularGrid.hemisphere())
-
-
 def channel_change(scene: Scene, cfr: ChannelArray, other: ChannelArray) -> str:
     """In words, the largest relative error of a sample's channel, and PSNR of power maps; `none` if all are equal."""
     if np.array_equal(cfr, other):
         return "none"
     norm = np.linalg.norm(other, axis=2)
     relative = np.linalg.norm(cfr - other, axis=2) / np.where(norm == 0, 1, norm)
-    beam = _beam(scene)
+    beam = BartlettBeam(scene.receiver.element_position_wavelengths, AngularGrid.hemisphere())
     num_elements = cfr.shape[2]
     maps, others = (beam.maps(channel.reshape(-1, num_elements))[0] for channel in (cfr, other))
     ratio_db = psnr(maps, others, beam.grid)

@@ -126,3 +126,20 @@ def test_a_needle_has_an_ellipse_for_a_footprint() -> None:
         found = projected(position_m, quaternion, log_scale).covariance
         a, b, c = found[:, 0, 0], found[:, 0, 1], found[:, 1, 1]
         assert bool((a * c - b * b > 0).all())  # in float32, as it is inverted
+
+
+def test_covariances_of_needles_are_exact_to_some_roundings() -> None:
+    """Σ of a needle turned so that its axes change places is the diagonal matrix with exchanged entries.
+
+    After a turn by 90° about z the error is relative to the largest entry. After a turn by 120° about all three
+    axes, whose quaternion and products are exact, it is relative to each entry of the diagonal.
+    """
+    scale = torch.tensor([[1e-8, 1e4, 1.0], [1e4, 1e-8, 1e-8], [1e4, 1e4, 1e-8]])
+    half = math.sqrt(0.5)
+    found = covariance(torch.tensor([[half, 0.0, 0.0, half]]).expand(3, 4), scale.log()).double()
+    expected = torch.diag_embed(scale.double()[:, [1, 0, 2]] ** 2)
+    assert ((found - expected).abs() / expected.amax((1, 2), keepdim=True)).max() < 5e-6
+    exact = covariance(torch.full((3, 4), 0.5), scale.log()).double()
+    entries = scale.double()[:, [2, 0, 1]] ** 2
+    torch.testing.assert_close(exact.diagonal(dim1=1, dim2=2), entries, rtol=5e-6, atol=0)
+    assert (exact - torch.diag_embed(exact.diagonal(dim1=1, dim2=2))).abs().max() < 5e-6
