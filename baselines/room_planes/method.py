@@ -2,8 +2,8 @@
 
 Where 32 or more of the given transmitters are in line of sight, planes are found in their maps (`search`). For a
 transmitter that is asked for, the direct wave and one and two reflections by the planes are traced with their phases.
-What the reflections change in the direct wave's sums over lags is added to the sums of `room-lags`. Where fewer are in
-line of sight, or no plane is found, it is `room-lags`.
+Most of what the reflections change in the direct wave's sums over lags is added to the sums of `room-lags`. Where fewer
+are in line of sight, or no plane is found, it is `room-lags`.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from xfreqbench.types import FloatArray
 from ..room_lags import RoomLags, RoomLagsConfig, RoomLagsPredictor, heard_sums
 from .search import ArrayView, FoundPlane, PlaneSearch, slabs_in
 
+_LEAST_IN_SIGHT = 32  # transmitters; with fewer, what is found makes predictions worse
+_TRUST = 0.7  # how much of what reflections change is added, as planes may be false or hidden
 _SLABS_FILE = "slabs.json"
 _SLABS = TypeAdapter(list[Slab])
 
@@ -39,8 +41,7 @@ class RoomPlanesConfig(RoomLagsConfig):
     """Options of `room-planes`: those of `room-lags`, and of the search for planes."""
 
     max_planes: Annotated[int, Field(ge=0), Doc("most planes of a room")] = 10
-    least_score: Annotated[float, Field(gt=0), Doc("of a plane: how much better it explains maps")] = 0.03
-    least_in_sight: Annotated[int, Field(ge=1), Doc("transmitters in line of sight; with fewer, no search")] = 32
+    least_score: Annotated[float, Field(gt=0), Doc("of a plane: how much better it explains maps")] = 0.06
 
 
 class RoomPlanes(RoomLags):
@@ -65,7 +66,7 @@ class RoomPlanes(RoomLags):
         if pattern == "tr38901" or any(turned_deg) or not self.slabs:
             return predictor
         position_m, sums = heard_sums(heard)
-        if len(position_m) < self.config.least_in_sight:
+        if len(position_m) < _LEAST_IN_SIGHT:
             return predictor
         element = heard.beam.element_position_wavelengths @ receiver.rotation.T
         search = PlaneSearch(
@@ -77,7 +78,7 @@ class RoomPlanes(RoomLags):
             self.config.least_score,
             self.config.max_planes,
         )
-        if search.num_in_sight < self.config.least_in_sight:
+        if search.num_in_sight < _LEAST_IN_SIGHT:
             return predictor
         return _WithPlanes(predictor, search.view, search.planes())
 
@@ -112,5 +113,5 @@ class _WithPlanes(RoomLagsPredictor):
                 for planes in (self.planes, [])
                 for channels in [self.view.channels(planes, offset_m[here], np.array([carrier]))]
             )
-            sums[here] += reflected - direct
+            sums[here] += _TRUST * (reflected - direct)
         return sums

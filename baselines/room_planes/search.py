@@ -31,11 +31,15 @@ from ..virtual_source.search.cross_terms import spherical_waves
 from ..virtual_source.search.planes import Vector
 from .scan_kernels import gains
 
+Channels = Complex[NDArray[np.complex128], "F T M"]  # of T transmitters at F carriers, in units of the direct wave
+
 _NEAREST_M, _BEHIND_M = 0.05, 1.5  # planes, from the array, and behind the farthest transmitter
 _STEP_M, _FINE_STEP_M, _FINE_REACH_M = 2e-3, 2e-4, 1.4e-3  # at the lower carriers, and at all of them
 _CELL_M = 0.1  # of a plane's distance, within which angles of incidence are taken to be the same
-_APART_M = 0.045  # nearer to a plane that is found, its aliases stand
-_NUM_PEAKS = 40  # of each normal that are looked at with all carriers
+_APART_M, _ALIASES_M = 0.045, 0.04  # nearer to a plane, its aliases stand; so far others are tried in its place
+_STRONG = 0.5  # of the best score of a round: weaker planes wait until stronger ones are known
+_WEAK = 0.4  # of the score that a plane needs in the end
+_NUM_PEAKS = 30  # of each normal that are looked at with all carriers
 _COSINES = np.linspace(0, 1, 129)
 _AXES = np.concatenate([np.eye(3), -np.eye(3)])
 _LEAST_AREA_M2 = 3.0  # of a surface, for what it is made of to be one of the slabs
@@ -52,7 +56,8 @@ def slabs_in(rooms: Iterable[PasDataset]) -> list[Slab]:
         for surface in scene.surface:
             low_m, high_m = surface.corners_m.reshape(-1, 3).min(axis=0), surface.corners_m.reshape(-1, 3).max(axis=0)
             if surface.mirrors is not False and np.prod(np.sort(high_m - low_m)[1:]) > _LEAST_AREA_M2:
-                found.add(scene.slab_of(surface)._replace(scattering=None))
+                slab = scene.slab_of(surface)._replace(scattering=None)
+                found |= {slab, slab.turned}
     return unlike(sorted(found, key=str), _MANY)
 
 
@@ -99,7 +104,7 @@ class ArrayView:
 
     def channels(
         self, planes: Sequence[FoundPlane], tx_m: Float[FloatArray, "T 3"], carrier_hz: Float[FloatArray, "F"]
-    ) -> Complex[NDArray[np.complex128], "F T M"]:
+    ) -> Channels:
         """Channels of direct waves with one and two reflections by planes, in units of the direct wave.
 
         Transmitters are seen from the array, in world axes.
@@ -191,75 +196,67 @@ class PlaneSearch:
         return tables
 
     def planes(self) -> list[FoundPlane]:
-        """Planes whose score is `least` or more, the first found first."""
+        """Planes whose score is `least` or more; weaker ones are sought too, for the sake of what they explain."""
         found: list[FoundPlane] = []
         while len(found) < self.max_planes:
-            number, known = len(found), self.view.channels(found, self.tx_m, self.carrier_hz)
-            candidates = [plane for axis in range(6) for plane in self._candidates(axis, known, found)]
-            for plane in sorted(candidates, key=lambda plane: -plane.score):
-                if len(found) < self.max_planes and self._is_apart(plane, found):
-                    again = self._refined(plane, found)
-                    found += [again] if again.score >= self.least else []
-            found = self._settled(found)
+            number, known = len(found), self._known(found)
+            candidates = [plane for normal in _AXES for plane in self._candidates(normal, known, found)]
+            candidates.sort(key=lambda plane: -plane.score)
+            for plane in candidates:
+                if plane.score > _STRONG * candidates[0].score and len(found) < self.max_planes:
+                    found = self._with(plane, found, _FINE_REACH_M)
+            for plane in list(found):  # once more, given the others
+                found = self._with(plane, [other for other in found if other is not plane], _ALIASES_M)
             if len(found) <= number:
                 break
-        return found
+        return [plane for plane in found if plane.score >= self.least]
 
-    def _settled(self, found: list[FoundPlane]) -> list[FoundPlane]:
-        """Every plane once more, given the others; those that are worth too little then are left out."""
-        for plane in list(found):
-            others = [other for other in found if other is not plane]
-            again = self._refined(plane, others)
-            found = [*others, again] if again.score >= self.least else others
-        return found
+    def _with(self, plane: FoundPlane, found: list[FoundPlane], reach_m: float) -> list[FoundPlane]:
+        """The planes that are found, and the best within reach of another one, if it is apart and worth enough."""
+        if not _is_apart(plane.normal, plane.distance_m, found):
+            return found
+        best = self._best_near(plane.normal, plane.distance_m, self._known(found), reach_m)
+        is_new = best.score >= _WEAK * self.least and _is_apart(best.normal, best.distance_m, found)
+        return [*found, best] if is_new else found
 
-    def _refined(self, plane: FoundPlane, others: Sequence[FoundPlane]) -> FoundPlane:
-        """The best plane within reach of one, where others are known."""
-        axis = int(np.argmax(_AXES @ plane.normal))
-        known = self.view.channels(others, self.tx_m, self.carrier_hz)
-        return self._best_near(axis, plane.distance_m, known)
+    def _known(self, found: Sequence[FoundPlane]) -> Channels:
+        return self.view.channels(found, self.tx_m, self.carrier_hz)
 
-    def _is_apart(self, plane: FoundPlane, found: Sequence[FoundPlane]) -> bool:
-        return all(
-            plane.normal @ other.normal < 0.5 or abs(plane.distance_m - other.distance_m) > _APART_M for other in found
-        )
-
-    def _candidates(
-        self, axis: int, known: Complex[NDArray[np.complex128], "F T M"], found: Sequence[FoundPlane]
-    ) -> list[FoundPlane]:
+    def _candidates(self, normal: Vector, known: Channels, found: Sequence[FoundPlane]) -> list[FoundPlane]:
         """The best planes along one axis, by all carriers."""
-        farthest_m = max(0.0, float((self.tx_m @ _AXES[axis]).max())) + _BEHIND_M
+        farthest_m = max(0.0, float((self.tx_m @ normal).max())) + _BEHIND_M
         distance_m = np.arange(_NEAREST_M, farthest_m, _STEP_M)
-        score = self._scores(axis, distance_m, known, slice(0, 2), self._few).max(axis=1)
+        score = self._scores(normal, distance_m, known, slice(0, 2), self._few).max(axis=1)
         peaks = np.flatnonzero((score == maximum_filter1d(score, 3)) & (score > 0))
-        best = peaks[np.argsort(-score[peaks])][:_NUM_PEAKS]
-        refined = [self._best_near(axis, distance_m[index], known) for index in best]
-        return [plane for plane in refined if plane.score >= self.least and self._is_apart(plane, found)]
+        highest_m = distance_m[peaks[np.argsort(-score[peaks])]].tolist()
+        apart_m = [here_m for here_m in highest_m if _is_apart(normal, here_m, found)][:_NUM_PEAKS]
+        refined = [self._best_near(normal, here_m, known, _FINE_REACH_M) for here_m in apart_m]
+        return [plane for plane in refined if plane.score >= _WEAK * self.least]
 
-    def _best_near(self, axis: int, distance_m: float, known: Complex[NDArray[np.complex128], "F T M"]) -> FoundPlane:
-        """The best distance and slab within reach."""
-        near_m = distance_m + np.arange(-_FINE_REACH_M, _FINE_REACH_M + _FINE_STEP_M / 2, _FINE_STEP_M)
-        near_m = near_m[near_m > 0]
-        score = self._scores(axis, near_m, known, slice(None))
+    def _best_near(self, normal: Vector, distance_m: float, known: Channels, reach_m: float) -> FoundPlane:
+        """The best distance and slab within reach, by all carriers."""
+        near_m = distance_m + np.arange(-reach_m, reach_m + _FINE_STEP_M / 2, _FINE_STEP_M)
+        near_m = near_m[near_m > _NEAREST_M / 2]
+        score = self._scores(normal, near_m, known, slice(None))
         place, slab = divmod(int(score.argmax()), len(self.slabs))
-        return FoundPlane(_AXES[axis], float(near_m[place]), self.slabs[slab], float(score.max()))
+        return FoundPlane(normal, float(near_m[place]), self.slabs[slab], float(score.max()))
 
     def _scores(
         self,
-        axis: int,
+        normal: Vector,
         distance_m: Float[FloatArray, "N"],
-        known: Complex[NDArray[np.complex128], "F T M"],
+        known: Channels,
         carriers: slice,
         slabs: Int[IntArray, "S"] | slice = slice(None),
     ) -> Float[FloatArray, "N S"]:
         """The geometric mean over carriers of `gains`, which are 0 where they are negative."""
-        reflection = self._reflections[axis][carriers]
+        reflection = self._reflections[int(np.argmax(_AXES @ normal))][carriers]
         cell = (distance_m / _CELL_M).astype(int).clip(max=reflection.shape[2] - 1)
         wavelength_m = SPEED_OF_LIGHT_M_S / self.carrier_hz[carriers]
         factor = gains(
             distance_m,
             cell,
-            _AXES[axis],
+            normal,
             self.tx_m,
             self.view.element * wavelength_m[:, None, None],
             1 / wavelength_m,
@@ -271,3 +268,9 @@ class PlaneSearch:
         )
         gain = np.log(factor).clip(0) / len(self.tx_m)
         return np.asarray(np.prod(gain, axis=1) ** (1 / len(wavelength_m)))
+
+
+def _is_apart(normal: Vector, distance_m: float, found: Sequence[FoundPlane]) -> bool:
+    """Whether a plane is neither one that is found nor an alias of it."""
+    near_m = [other.distance_m for other in found if other.normal @ normal > 0.5]
+    return all(abs(distance_m - other_m) > _APART_M for other_m in near_m)
