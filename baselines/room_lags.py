@@ -263,6 +263,17 @@ def _up(dataset: PasDataset) -> Float[Tensor, "3"]:
     return torch.as_tensor(dataset.header.receiver.rotation[2], dtype=torch.float32)
 
 
+def heard_sums(heard: PasDataset) -> tuple[Float[FloatArray, "K 3"], Float[NDArray[np.float32], "K C L"]]:
+    """The transmitters heard at all of `HEARD_GHZ`, in the array's frame, and the sums over lags of their maps."""
+    receiver = heard.header.receiver
+    by_carrier = {carrier: np.flatnonzero(heard.carrier_hz == ghz_to_hz(carrier)) for carrier in HEARD_GHZ}
+    tx = [set(heard.tx_index[rows].tolist()) for rows in by_carrier.values()]
+    rows = [rows[np.isin(heard.tx_index[rows], [*set.intersection(*tx)])] for rows in by_carrier.values()]
+    lags = LagFunctions(heard.beam)
+    sums = np.stack([lags.of_maps(heard.pas(at_carrier), heard.header.pas_kind) for at_carrier in rows], axis=1)
+    return (heard.tx_position_m[rows[0]] - receiver.position_m) @ receiver.rotation, sums
+
+
 @dataclass
 class _State:
     """All that training changes, and what predictions need beside it."""
@@ -277,6 +288,8 @@ class _State:
 
 class RoomLags:
     """Learns from many rooms how power arrives by mirror images, and weighs planes by what is heard in a new one."""
+
+    Config = RoomLagsConfig
 
     def __init__(self, config: RoomLagsConfig = RoomLagsConfig()) -> None:
         self.config = config
@@ -308,13 +321,7 @@ class RoomLags:
         """The evidence of what is heard, with which maps of the room are predicted; nothing is trained."""
         state = self._trained()
         field, images = state.field, _Images(state.field, _up(heard))
-        receiver = heard.header.receiver
-        by_carrier = {carrier: np.flatnonzero(heard.carrier_hz == ghz_to_hz(carrier)) for carrier in HEARD_GHZ}
-        tx = [set(heard.tx_index[rows].tolist()) for rows in by_carrier.values()]
-        rows = [rows[np.isin(heard.tx_index[rows], [*set.intersection(*tx)])] for rows in by_carrier.values()]
-        lags = LagFunctions(heard.beam)
-        sums = np.stack([lags.of_maps(heard.pas(at_carrier), heard.header.pas_kind) for at_carrier in rows], axis=1)
-        position_m = (heard.tx_position_m[rows[0]] - receiver.position_m) @ receiver.rotation
+        position_m, sums = heard_sums(heard)
         with torch.no_grad():
             evidence = images.heard(torch.as_tensor(position_m, dtype=torch.float32), torch.as_tensor(sums))
         return RoomLagsPredictor(field, images, evidence, heard)
@@ -336,7 +343,7 @@ class RoomLags:
     def load(cls, directory: Path) -> RoomLags:
         """The method as it was saved; its `fit` goes on from there."""
         stored = json.loads((directory / _STATE_FILE).read_text(encoding="utf-8"))
-        method = cls(RoomLagsConfig(**stored["config"]))
+        method = cls(cls.Config(**stored["config"]))
         with np.load(directory / _TENSORS_FILE) as file:
             arrays: Mapping[str, NDArray[Any]] = dict(file)
         beam = BartlettBeam(arrays["elements"], AngularGrid(arrays["elevation_rad"], arrays["azimuth_rad"]))
@@ -407,21 +414,27 @@ class RoomLagsPredictor:
     """Predicts the maps of one room, from the evidence of what was heard in it."""
 
     def __init__(self, field: RoomField, images: _Images, heard: _Heard, data: PasDataset) -> None:
-        self._field, self._images, self._heard = field, images, heard
-        self._receiver, self._kind = data.header.receiver, data.header.pas_kind
+        self.field, self._images, self._heard = field, images, heard
+        self.receiver, self._kind = data.header.receiver, data.header.pas_kind
 
     def predict(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
     ) -> Float[NDArray[np.float32], "B E A"]:
         """Maps with peak 1."""
-        offset_m = (tx_position_m - np.asarray(self._receiver.position_m)) @ self._receiver.rotation
-        position_m, carriers = torch.as_tensor(offset_m, dtype=torch.float32), torch.as_tensor(carrier_hz)
+        batches = range(_PREDICT_BATCH, len(carrier_hz), _PREDICT_BATCH)
         with torch.no_grad():
             maps = []
-            for query in zip(position_m.split(_PREDICT_BATCH), carriers.split(_PREDICT_BATCH), strict=True):
-                sums = self._field(self._images, self._heard, *query)
-                maps.append(as_kind(self._field.beams.power_of_lags(sums, GridView()), self._kind))
+            for query in zip(np.split(tx_position_m, batches), np.split(carrier_hz, batches), strict=True):
+                power = self.field.beams.power_of_lags(self.sums(*query), GridView())
+                maps.append(as_kind(power, self._kind))
         return torch.cat(maps).numpy()
+
+    def sums(self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]) -> Float[Tensor, "B L"]:
+        """Sums over lags of maps, where those of a direct wave are as of a map with peak 1."""
+        offset_m = (tx_position_m - np.asarray(self.receiver.position_m)) @ self.receiver.rotation
+        position_m, carriers = torch.as_tensor(offset_m, dtype=torch.float32), torch.as_tensor(carrier_hz)
+        sums: Tensor = self.field(self._images, self._heard, position_m, carriers)
+        return sums
 
 
 def _of_one_array(dataset: PasDataset, field: RoomField) -> PasDataset:

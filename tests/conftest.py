@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 UNCHECKED = {  # Numba compiles what it is given, and checks types itself
     "xfreqbench.scene.visibility_kernels",
     "xfreqbench.methods.learning.loss_kernels",
+    "xfreqbench.baselines.room_planes.scan_kernels",
     "xfreqbench.baselines.virtual_source.field.coefficient_kernels",
     "xfreqbench.baselines.virtual_source.field.slab_kernels",
     "xfreqbench.baselines.virtual_source.room.obstacle_kernels",

@@ -187,11 +187,9 @@ def test_methods_of_one_room_learn_from_what_is_heard_of_a_new_one(rooms: Collec
 def test_a_method_that_learns_across_rooms_is_checked_and_asks_for_rooms(
     rooms: Collection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert not [
-        str(result)
-        for result in check_method("room-lags", ["rooms=1", "queries=4", "headings=8", "distances=4"])
-        if result.fault
-    ]
+    small = ["rooms=1", "queries=4", "headings=8", "distances=4"]
+    results = [*check_method("room-lags", small), *check_method("room-planes", [*small, "max_planes=1"])]
+    assert not [str(result) for result in results if result.fault]
     written = write_method_package("my-rooms", tmp_path / "mine", rooms=True)
     assert not [path for path in written if re.search(r"soft|Soft|to copy and", path.read_text())]
     project = tomllib.loads((tmp_path / "mine" / "pyproject.toml").read_text())["project"]
