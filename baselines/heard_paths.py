@@ -117,7 +117,8 @@ class HeardPaths:
         # Sums times this are as far apart as their maps; some lag functions almost vanish on the visible hemisphere.
         self._root = np.linalg.cholesky(functions @ functions.T + 1e-9 * np.eye(len(functions)))
         self._of_lag = np.equal.outer(lags.of_pair, np.arange(len(lags.lag))).astype(np.complex128)
-        self._heard = self._direction(lags.of_maps(heard.pas(), heard.header.pas_kind).astype(np.float64))
+        self._kind = heard.header.pas_kind
+        self._heard = self._direction(lags.of_maps(heard.pas(), self._kind).astype(np.float64))
 
         of_group = [np.isin(mesh, np.flatnonzero(group == number)) for number in range(len(slabs))]
         self._rows = [np.flatnonzero(at.any(axis=1)) for at in of_group]
@@ -174,6 +175,8 @@ class HeardPaths:
     def _loss(self, cfr: Complex[Waves, "T F M"]) -> float:
         """Mean over the maps of the sine of the angle between map and heard map as vectors, which no power changes."""
         own = cfr[self._sample]
+        if self._kind == "phase-only":
+            own = own / np.maximum(np.abs(own), 1e-300)
         first, second = np.divmod(self._lags.pairs, own.shape[1])
         sums = (own[:, first] * own[:, second].conj()) @ self._of_lag
         cosine = (self._direction(np.hstack([sums.real, sums.imag])) * self._heard).sum(axis=1)

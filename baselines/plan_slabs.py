@@ -74,11 +74,9 @@ class PlanSlabs(PlanTracer):
             for number in paths.strongest:
                 paths.improve(number, _finer(paths.slabs[number], tried[number]))
             slabs = paths.slabs
-        meshes = [
-            replace(mesh, material=slabs[number].material, thickness_m=slabs[number].thickness_m)
-            for mesh, number in zip(plan.geometry.meshes, group, strict=False)  # a mesh file's have no group
-        ]
-        plan.geometry = Geometry([*meshes, *plan.geometry.meshes[len(meshes) :]])
+        told = plan.geometry.meshes
+        made = [replace(mesh, **slabs[number]._asdict()) for mesh, number in zip(told, group, strict=False)]
+        plan.geometry = Geometry([*made, *told[len(made) :]])  # those of a mesh file have no group
         return plan
 
     def save(self, directory: Path) -> None:
@@ -153,8 +151,8 @@ class Kinds:
     def usual(self, kind: str) -> Slab:
         """The most frequent material of a kind, with its median thickness."""
         (material, _), *_ = Counter(slab.material for slab in self.slabs[kind]).most_common(1)
-        thicknesses_m = [slab.thickness_m for slab in self.slabs[kind] if slab.material == material]
-        return Slab(material, float(np.median(thicknesses_m)))
+        slabs = [slab for slab in self.slabs[kind] if slab.material == material]
+        return slabs[0]._replace(thickness_m=float(np.median([slab.thickness_m for slab in slabs])))
 
     def tried(self, kind: str, carrier_hz: Float[FloatArray, "F"]) -> list[list[Slab]]:
         """All materials of a kind, each with thicknesses between the least and the greatest that make a difference."""
