@@ -144,10 +144,20 @@ class HeardPaths:
         def loss(slab: Slab) -> float:
             return self._loss(rest + self._channels(rows, self._gains(rows, self._factors(number, slab))))
 
-        best = min([self.slabs[number], *slabs], key=loss)
-        self.slabs[number], self._factor[rows] = best, self._factors(number, best)
+        self.take(number, min([self.slabs[number], *slabs], key=loss))
+
+    def take(self, number: int, slab: Slab) -> None:
+        """Give a group this slab."""
+        rows = self._rows[number]
+        rest = self._cfr - self._channels(rows, self._gain[rows])
+        self.slabs[number], self._factor[rows] = slab, self._factors(number, slab)
         self._gain[rows] = self._gains(rows, self._factor[rows])
         self._cfr = rest + self._channels(rows, self._gain[rows])
+
+    @property
+    def loss(self) -> float:
+        """How far the maps are from those that are heard, as `improve` compares slabs: 0 to 1."""
+        return self._loss(self._cfr)
 
     def _factors(self, number: int, slab: Slab) -> Complex[Waves, "n D 2 F"]:
         """Those of the paths that a group is met by, if it has this slab."""

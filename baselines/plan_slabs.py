@@ -29,6 +29,7 @@ from xfreqbench.methods.contract import Budget, Progress
 from xfreqbench.methods.lookup import NoOptions
 from xfreqbench.scene.facets import Geometry
 from xfreqbench.scene.imported import Slab
+from xfreqbench.scene.materials import ConstantMaterial, LayeredMaterial, complex_permittivity, conductivity_s_m
 from xfreqbench.scene.model import Scene
 from xfreqbench.types import FloatArray, IntArray
 
@@ -40,6 +41,10 @@ _SWEEPS = 2  # over all groups
 _STEP_M, _MOST_STEPS, _MOST_FINE_STEPS = 1e-4, 400, 21  # of thicknesses
 _NOTICED = 0.2  # rms difference between the coefficients of two thicknesses that are both tried
 _SLOPES = np.linspace(-1, -0.1, 7)  # cosines of the incidence, at which it is taken
+_SPREADS, _DRAWS, _MIDDLE_HZ = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01), 40, 1e10  # of other materials
+_FEW = 10  # thicknesses of each material of other kinds
+# The least share of the loss that another material has to save, and all of them together, times the number of maps.
+_ONE_SAVES, _ALL_SAVE = 1.5, 8.0
 _ALIKE = 0.9  # share of the training rooms whose surfaces of one kind have one slab
 _SLABS: TypeAdapter[dict[str, list[Slab]]] = TypeAdapter(dict[str, list[Slab]])
 
@@ -65,12 +70,23 @@ class PlanSlabs(PlanTracer):
         group, kind_of = kinds.grouped(heard.scene)
         slabs, tx = [kinds.usual(kind) for kind in kind_of], np.unique(heard.tx_index)
         if len(tx):
-            tried = [kinds.tried(kind, np.unique(heard.carrier_hz)) for kind in kind_of]
+            carrier_hz = np.unique(heard.carrier_hz)
+            tried = [kinds.tried(kind, carrier_hz) for kind in kind_of]
             some = tx[np.linspace(0, len(tx) - 1, min(_ROUGH_TX, len(tx))).round().astype(int)]
             paths = HeardPaths(heard[np.flatnonzero(np.isin(heard.tx_index, some))], plan.geometry, group, slabs)
             for number in paths.strongest * _SWEEPS:
                 paths.improve(number, chain(*tried[number]))
-            paths = HeardPaths(heard, plan.geometry, group, paths.slabs)
+            usual, at_first, num_maps = list(paths.slabs), paths.loss, min(_ROUGH_TX, len(tx)) * len(carrier_hz)
+            random, others = np.random.default_rng(0), [plan.geometry.meshes[0].slab, *kinds.others(carrier_hz)]
+            for number in paths.strongest * _SWEEPS:
+                known, before = paths.slabs[number], paths.loss
+                paths.improve(number, others)
+                for spread in _SPREADS:
+                    paths.improve(number, _varied(paths.slabs[number], spread, random))
+                if paths.loss > (1 - _ONE_SAVES / num_maps) * before:
+                    paths.take(number, known)
+            slabs = usual if paths.loss > (1 - _ALL_SAVE / num_maps) * at_first else paths.slabs
+            paths = HeardPaths(heard, plan.geometry, group, slabs)
             for number in paths.strongest:
                 paths.improve(number, _finer(paths.slabs[number], tried[number]))
             slabs = paths.slabs
@@ -160,6 +176,16 @@ class Kinds:
             self._tried[key] = list(self._tried_at(kind, carrier_hz))
         return self._tried[key]
 
+    def others(self, carrier_hz: Float[FloatArray, "F"]) -> Iterator[Slab]:
+        """Some thicknesses of all materials of all kinds."""
+        by_material = defaultdict[object, list[Slab]](list)
+        for kind in self.slabs:
+            for slabs in self.tried(kind, carrier_hz):
+                by_material[slabs[0].material] += slabs
+        for slabs in by_material.values():
+            slabs.sort(key=lambda slab: slab.thickness_m)
+            yield from (slabs[at] for at in np.unique(np.linspace(0, len(slabs) - 1, _FEW).astype(int)))
+
     def _tried_at(self, kind: str, carrier_hz: Float[FloatArray, "F"]) -> Iterator[list[Slab]]:
         by_material = defaultdict[object, list[Slab]](list)
         for slab in self.slabs[kind]:
@@ -174,9 +200,20 @@ class Kinds:
             yield [*kept, slabs[0]._replace(thickness_m=high_m)]
 
 
+def _varied(slab: Slab, spread: float, random: np.random.Generator) -> list[Slab]:
+    """Slabs of permittivities, conductivities and thicknesses about those of one; none for layers."""
+    if isinstance(slab.material, LayeredMaterial):
+        return []
+    eta = complex_permittivity(slab.material, _MIDDLE_HZ, "extrapolate")
+    at = max(eta.real - 1, 0.05), max(conductivity_s_m(eta, _MIDDLE_HZ), 1e-3), slab.thickness_m
+    drawn = (np.array(at) * np.exp(spread * random.standard_normal((_DRAWS, 3)))).tolist()
+    return [Slab(ConstantMaterial("found", 1 + a, sigma), thickness_m) for a, sigma, thickness_m in drawn]
+
+
 def _finer(slab: Slab, tried: Iterable[list[Slab]]) -> list[Slab]:
     """A slab with the thicknesses around its own that were left out of those that were tried."""
-    thickness_m = next([each.thickness_m for each in slabs] for slabs in tried if slabs[0].material == slab.material)
+    of_material = (slabs for slabs in tried if slabs[0].material == slab.material)
+    thickness_m = [each.thickness_m for each in next(of_material, [slab])]
     nearest = int(np.abs(np.subtract(thickness_m, slab.thickness_m)).argmin())
     around_m = thickness_m[max(nearest - 1, 0) : nearest + 2]
     return _between(slab, around_m[0], around_m[-1], _MOST_FINE_STEPS)
