@@ -5,6 +5,9 @@ without numbers (`wall door`), by what shapes kinds are told apart, since a plan
 surfaces of a room are alike. In a new room, surfaces are sorted into kinds and groups of one slab, at first the most
 frequent one of their kind. Then each group in turn, the one of the strongest paths first, takes the slab with which
 the maps are nearest to those that are heard. Paths do not depend on slabs, so they are traced once.
+
+Where the maps are not explained so, each group tries materials of other kinds, and random ones about the best of them,
+in steps that become smaller. These are kept if they save much of the error, and with few maps they hardly are.
 """
 
 from __future__ import annotations
@@ -64,7 +67,7 @@ class PlanSlabs(PlanTracer):
     def adapt(self, heard: PasDataset, budget: Budget) -> TracedPlan:
         """The plan, prepared for tracing, of the slabs that explain best what is heard, or of the usual ones.
 
-        Raises `MethodError` where no plan is told, before anything is learned, and for other antennas.
+        Raises `MethodError` where no plan is told, before anything is learned, and for turned or directive antennas.
         """
         plan, kinds = super().adapt(heard, budget), self._learned()
         group, kind_of = kinds.grouped(heard.scene)
