@@ -54,7 +54,7 @@ class TracedPlan:
     """Predicts the maps of one room by tracing its plan, as its data were traced."""
 
     def __init__(self, heard: PasDataset, scene: Scene) -> None:
-        self._heard, self._scene, self._geometry = heard, scene, Geometry.of(scene)
+        self._heard, self._scene, self.geometry = heard, scene, Geometry.of(scene)
 
     def predict(
         self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]
@@ -62,5 +62,5 @@ class TracedPlan:
         """Maps with peak 1."""
         place_m, tx = np.unique(tx_position_m, axis=0, return_inverse=True)
         known_hz, carrier = np.unique(carrier_hz, return_inverse=True)
-        cfr = tracer_of(self._scene, known_hz, self._heard.trace_settings, self._geometry).channel(place_m).cfr
+        cfr = tracer_of(self._scene, known_hz, self._heard.trace_settings, self.geometry).channel(place_m).cfr
         return self._heard.beam.maps(cfr[tx.ravel(), carrier], self._heard.header.pas_kind)[0]
