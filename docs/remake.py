@@ -49,14 +49,14 @@ def take(folders: list[Path], add: bool = False) -> None:
 
 
 def readme_table(boards: Sequence[Board]) -> str:
-    """Five rows of the office, at the carriers at which `xfreq-gs-paper` was tested.
+    """Five rows of the office, at the carriers at which `xfreq-gs-paper` was tested, and their scores in `open_office`.
 
     They are `virtual-source`, `xfreq-gs`, the best small version of another published system, the best baseline that is
     not trained, with their ranks among all methods, and `xfreq-gs-paper`, whose budget is that of another board.
     """
-    title = "office · lofo · power maps · "
-    quick, converged = (
-        next(board for board in boards if board.title.startswith(title + lane)) for lane in ("quick", "converged")
+    quick, converged, beside = (
+        next(board for board in boards if board.title.startswith(f"{scene} · lofo · power maps · {lane}"))
+        for scene, lane in (("office", "quick"), ("office", "converged"), ("open_office", "quick"))
     )
     paper = next(row for row in converged.rows if (row.job.method, row.family) == ("xfreq-gs-paper", "learned"))
     alone = Comparison.of(converged, paper)
@@ -68,12 +68,17 @@ def readme_table(boards: Sequence[Board]) -> str:
         (ranked, next(row for row in ranked.rows if row.is_trivial)),
         (alone, paper),
     ]
+    other = Comparison(beside, alone.splits)
+    scores = columns(other, ("average", "skill"))
+    there = {row.job.method: [column.cell(row) for column in scores] for row in other.rows}
     body = []
     for comparison, row in sorted(shown, key=lambda pair: -pair[1].average(alone.splits)):
         every = columns(comparison, ("rank", "maps", "average", "skill", "beam_loss"))
         rank, *others = (column.cell(row) for column in every)
-        body.append([rank if comparison is ranked else ABSENT, row.job.method, *others])
-    return table(["rank", "method", "training maps", "median SSIM", "skill", "beam loss (dB)"], body)
+        own = [rank if comparison is ranked else ABSENT, row.job.method, *others]
+        body.append([*own, *there.get(row.job.method, [ABSENT] * len(scores))])
+    heads = ["rank", "method", "training maps", "median SSIM", "skill", "beam loss (dB)"]
+    return table([*heads, *(f"{head}, open_office" for head in ("SSIM", "skill"))], body)
 
 
 def remake(root: Path, page: Path | None = None) -> list[Path]:

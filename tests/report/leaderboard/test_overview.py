@@ -154,11 +154,15 @@ def test_rooms_traced_by_several_programs_and_measured_maps_stand_beside_each_ot
     assert "Other truth" not in alone
 
 
-def test_a_warning_is_said_in_the_same_sentence_as_the_praise(tmp_path: Path) -> None:
+def test_a_warning_and_boards_that_others_win_are_said_in_the_same_sentence_as_the_praise(tmp_path: Path) -> None:
     records = [*of_three_seeds("virtual-source", 0.1, 1), *of_three_seeds("xfreq-gs", 0.0, 20)]
+    lost = [*of_three_seeds("virtual-source", 0.0, 1), *of_three_seeds("xfreq-gs", 0.1, 20)]
+    hall = {"scene": "hall", "dataset_sha256": "4" * 64, "recipe": f"1-{'4' * 64}"}
+    records += [record.model_copy(update={**hall, "id": f"4{record.id}"}) for record in lost]
     write_report(store(tmp_path, *records), tmp_path / "B.md", tmp_path / "all")
     (best,) = re.findall(r"^1\. (.*)$", (tmp_path / "B.md").read_text("utf-8"), re.MULTILINE)
     assert "`virtual-source` is best" in best and "inverts what the tracer makes" in best
+    assert "first on 1 of the 2 boards of known rooms on which it was run (else `xfreq-gs` on hall, lofo)." in best
 
 
 def test_what_got_worse_since_earlier_results_is_told_with_what_is_different(tmp_path: Path) -> None:

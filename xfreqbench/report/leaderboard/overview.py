@@ -65,15 +65,17 @@ def main_scene(ranked: Sequence[Board]) -> str:
 def main_boards(ranked: Sequence[Board]) -> list[Board]:
     """Of the boards of each scene and protocol, which differ in data and budgets, that with most runs but ablations.
 
-    Of two with equally many it is that with more test maps. A board with ablations alone is none of them.
+    Of two with equally many it is that with more test maps, or traced by solver `image`. A board with ablations alone
+    is none of them.
     """
     by_place: dict[tuple[str, str], list[Board]] = {}
     for board in ranked:
         if any(row.family != "ablation" for row in board.rows):
             by_place.setdefault((board.scene, board.protocol), []).append(board)
 
-    def size(board: Board) -> tuple[int, int]:
-        return sum(len(row.records) for row in board.rows if row.family != "ablation"), board.records[0].num_test
+    def size(board: Board) -> tuple[int, int, bool]:
+        runs = sum(len(row.records) for row in board.rows if row.family != "ablation")
+        return runs, board.records[0].num_test, board.settings.get("solver") == "image"
 
     return [max(boards, key=size) for boards in by_place.values()]
 
@@ -120,9 +122,11 @@ def _best(lofo: Comparison | None, compared: Sequence[Comparison]) -> Iterator[s
     if lofo is None:
         return
     first, *others = _fitted(lofo)
-    fitted = [[row.job.method for row in _fitted(each)] for each in compared]
-    competing = [methods for methods in fitted if first.job.method in methods]
-    num_won = sum(methods[0] == first.job.method for methods in competing)
+    competing = [each for each in compared if first.job.method in [row.job.method for row in _fitted(each)]]
+    lost = [each for each in competing if _fitted(each)[0].job.method != first.job.method]
+    instead = "; ".join(
+        f"`{_fitted(each)[0].short_label}` on {each.board.scene}, {each.board.protocol}" for each in lost
+    )
     second = f" The next, `{others[0].short_label}`, has {_skill(lofo, others[0])}." if others else ""
     at = {
         each.board.scene: row.average(each.splits, each.board.skill)
@@ -135,8 +139,9 @@ def _best(lofo: Comparison | None, compared: Sequence[Comparison]) -> Iterator[s
         f"At a carrier that was never trained on (`lofo`, {lofo.board.scene}) `{first.short_label}` is best: its "
         f"skill, the share of the best baseline's error that it removes, is {_skill(lofo, first)}"
         + (f"; its lowest on `lofo` is {number(at[lowest], 3)}, in {lowest}" if len(at) > 1 else "")
-        + f".{second} `{first.short_label}` is first on {num_won} of the {len(competing)} boards of known rooms on "
-        f"which it was run. {published()['caution'].get(first.job.method, '')}".rstrip()
+        + f".{second} `{first.short_label}` is first on {len(competing) - len(lost)} of the {len(competing)} "
+        f"boards of known rooms on which it was run{f' (else {instead})' if lost else ''}. "
+        f"{published()['caution'].get(first.job.method, '')}".rstrip()
     )
 
 
@@ -308,7 +313,8 @@ def _worth(comparison: Comparison | None) -> list[str]:
 
 
 def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
-    """The skill of each method on each board; trivial predictors are left out."""
+    """The skill of each method on each board of rooms that were traced; trivial predictors are left out."""
+    compared = [each for each in compared if "imported_from" not in each.board.settings]
     # of each method the best row, which comes last here
     best = [{row.job.method: row for row in reversed(_fitted(comparison))} for comparison in compared]
     methods = sorted({method for by_method in best for method in by_method})
