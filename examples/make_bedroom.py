@@ -170,7 +170,7 @@ def write_scene(folder: Path) -> int:
         ("ceiling", "concrete", 0.2, [0.0, 0.0, z], [x, y, z]),
         ("west", "plasterboard", 0.1, [0.0, 0.0, 0.0], [0.0, y, z]),
         ("east", "concrete", 0.12, [x, 0.0, 0.0], [x, y, z]),
-        ("south", "brick", 0.24, [0.0, 0.0, 0.0], [x, 0.0, z]),
+        ("south", "concrete", 0.24, [0.0, 0.0, 0.0], [x, 0.0, z]),
         ("north", "plasterboard", 0.1, [0.0, y, 0.0], [x, y, z]),
     ]
     names = "name", "material", "thickness_m", "low_m", "high_m"
