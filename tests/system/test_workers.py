@@ -293,3 +293,19 @@ def _runs(process: int) -> bool:
         return status.read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"  # ended, its parent gone
     except FileNotFoundError:
         return False
+
+
+def test_locks_of_processes_that_are_ended_are_removed_without_a_word() -> None:
+    """Numba makes one where it starts threads, which multiprocessing's tracker of such locks complains of."""
+    done = subprocess.run(
+        [sys.executable, "-c", LEAVES_A_LOCK], cwd=ROOT, capture_output=True, text=True, timeout=120, check=True
+    )
+    assert (done.stdout, done.stderr) == ("True\n", "")
+
+
+LEAVES_A_LOCK = """
+from xfreqbench.system.processes import open_workers
+if __name__ == "__main__":
+    with open_workers("1", is_fresh=True, imports=("numba",)) as workers:
+        print(workers.submit(eval, "__import__('numba').get_num_threads() > 0").result())
+"""

@@ -34,6 +34,8 @@ Cores = frozenset[int]
 SERIAL = "serial"
 MAX_DEATHS = 4  # processes that may die of one call; Dask allows as many workers by default
 _UNKNOWN_STATUS = 255
+# for multiprocessing's tracker, which removes the locks of processes that are killed, as Numba's threads have one
+_UNSAID = "ignore:resource_tracker:UserWarning"
 _INTERRUPT = {signal.SIGINT}
 _THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
@@ -106,6 +108,7 @@ class LocalProcesses(Workers):
         on_message: Callable[..., object] | None = None,
     ) -> None:
         self.num_places = len(places)
+        sys.warnoptions += [_UNSAID] * (_UNSAID not in sys.warnoptions)
         # a fork of this process would inherit its threads and locks
         context = _forking(places, tuple(imports)) or multiprocessing.get_context("spawn")
         self._is_fresh = is_fresh
