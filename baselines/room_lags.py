@@ -319,9 +319,14 @@ class RoomLags:
 
     def adapt(self, heard: PasDataset, budget: Budget) -> RoomLagsPredictor:
         """The evidence of what is heard, with which maps of the room are predicted; nothing is trained."""
+        return self.adapted(heard, *heard_sums(heard))
+
+    def adapted(
+        self, heard: PasDataset, position_m: Float[FloatArray, "K 3"], sums: Float[NDArray[np.float32], "K C L"]
+    ) -> RoomLagsPredictor:
+        """As `adapt`, where `heard_sums` are known."""
         state = self._trained()
         field, images = state.field, _Images(state.field, _up(heard))
-        position_m, sums = heard_sums(heard)
         with torch.no_grad():
             evidence = images.heard(torch.as_tensor(position_m, dtype=torch.float32), torch.as_tensor(sums))
         return RoomLagsPredictor(field, images, evidence, heard)

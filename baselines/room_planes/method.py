@@ -61,12 +61,11 @@ class RoomPlanes(RoomLags):
 
     def adapt(self, heard: PasDataset, budget: Budget) -> RoomLagsPredictor:
         """As `RoomLags.adapt`, with the planes that are found."""
-        predictor, receiver = super().adapt(heard, budget), heard.header.receiver
-        pattern, polarization, turned_deg = receiver.antenna
-        if pattern == "tr38901" or any(turned_deg) or not self.slabs:
-            return predictor
         position_m, sums = heard_sums(heard)
-        if len(position_m) < _LEAST_IN_SIGHT:
+        predictor, receiver = self.adapted(heard, position_m, sums), heard.header.receiver
+        pattern, polarization, turned_deg = receiver.antenna
+        is_known = pattern != "tr38901" and not any(turned_deg)
+        if not (is_known and self.slabs) or len(position_m) < _LEAST_IN_SIGHT:
             return predictor
         element = heard.beam.element_position_wavelengths @ receiver.rotation.T
         search = PlaneSearch(

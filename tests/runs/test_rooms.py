@@ -23,6 +23,7 @@ from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.fitting import fit_within
 from xfreqbench.methods.rooms import PerRoom
 from xfreqbench.methods.template import write_method_package
+from xfreqbench.report.leaderboard.boards import short_commit
 from xfreqbench.report.leaderboard.results import read_results
 from xfreqbench.report.leaderboard.tables import leaderboard
 from xfreqbench.report.leaderboard.unseen_rooms import room_tables, rooms_overview
@@ -141,7 +142,7 @@ def test_other_seeds_collections_and_commits_have_rows_tables_and_names_of_their
     assert first.rows != last.rows and "1,000" in rooms_overview([first], "more.md")[0]
     (mixed, *_) = room_tables([*stored[:-1], stored[-1].model_copy(update={"git_commit": "0123456789"})])
     assert all(
-        f" {commit} (" in mixed.note for commit in (stored[0].git_commit[:7], "0123456")
+        f" {commit} (" in mixed.note for commit in (short_commit(stored[0].git_commit), "0123456")
     )  # in the order of their hashes
     with pytest.raises(DataError, match="unseen rooms, which have no leaderboard"):
         leaderboard(stored)
