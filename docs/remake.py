@@ -87,7 +87,7 @@ def remake(root: Path, page: Path | None = None) -> list[Path]:
     page_md = root / "BENCHMARK.md"
     _replace(page_md, {ours: theirs for theirs, ours in MARKS.items()})
     try:
-        written = write_report(found, page_md, details, results_at("v1"))
+        written = write_report(found, page_md, details, results_at("v2"))
     finally:
         _replace(page_md, MARKS)
     for path in set(details.rglob("*.*")) - set(written):
@@ -96,7 +96,7 @@ def remake(root: Path, page: Path | None = None) -> list[Path]:
     readme = root / "README.md"
     readme.write_text(TABLE.sub(lambda _: readme_table(found.boards), readme.read_text("utf-8")), "utf-8")
     if page is not None:
-        write_page(found, page, results_at("v1"))
+        write_page(found, page, results_at("v2"))
     return written
 
 

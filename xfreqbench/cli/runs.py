@@ -263,7 +263,7 @@ def report(
         Path | None, Parameter(help="Keep the report short; write a page for each scene and for the measurements here.")
     ] = None,
     since: Annotated[
-        str | None, Parameter(help="Earlier results, such as v1: print which methods got worse since, and what is new.")
+        str | None, Parameter(help="Earlier results, such as v2: print which methods got worse since, and what is new.")
     ] = None,
     maps: Annotated[
         Path | None,
@@ -281,7 +281,7 @@ def report(
     Parameters
     ----------
     results
-        Results folder, file of records, its address (https), or a frozen version of the reference board (v1); those of
+        Results folder, file of records, its address (https), or a frozen version of the reference board (v2); those of
         several are ranked together.
     """
     from xfreqbench.report.leaderboard.maps import require_own_maps
@@ -323,7 +323,7 @@ def compare(a: str, b: str) -> None:
     ----------
     a
         Results folder, file of records, FOLDER/METHOD for those of one method, FOLDER/METHOD@CODE for one version of
-        it, FOLDER/ID for one record, the address of a file (https), or a frozen version of the reference board (v1).
+        it, FOLDER/ID for one record, the address of a file (https), or a frozen version of the reference board (v2).
     b
         The same, to be compared with A.
     """

@@ -127,13 +127,13 @@ def test_a_board_is_at_an_address_or_a_frozen_version(tmp_path: Path, monkeypatc
         store(tmp_path, make_record("later"))
         server.content = (tmp_path / "records.jsonl").read_bytes()
         assert "later" in str(xb.leaderboard(server.url))  # a board grows: it is asked for anew
-    frozen = results_at("v1")
-    assert frozen.name == "v1.parquet" and results_at(tmp_path / "v1") == tmp_path / "v1"
-    (tmp_path / VERSIONS).write_text(f"v1.parquet {pooch.file_hash(frozen)}")
-    (tmp_path / "v1.parquet").write_text("")
+    frozen = results_at("v2")
+    assert frozen.name == "v2.parquet" and results_at(tmp_path / "v2") == tmp_path / "v2"
+    (tmp_path / VERSIONS).write_text(f"v2.parquet {pooch.file_hash(frozen)}")
+    (tmp_path / "v2.parquet").write_text("")
     monkeypatch.setattr("xfreqbench.report.leaderboard.results.files", lambda package: tmp_path)
-    with pytest.raises(DataError, match="not the frozen version 'v1'"):
-        results_at("v1")
+    with pytest.raises(DataError, match="not the frozen version 'v2'"):
+        results_at("v2")
 
 
 @pytest.mark.parametrize(

@@ -110,6 +110,14 @@ def test_a_claim_that_was_measured_on_other_data_names_them() -> None:
     assert not named["| XFreq-GS is better than GSRF"]
 
 
+def test_the_papers_method_is_shown_though_it_ran_on_other_data_which_are_named() -> None:
+    other = {"dataset_sha256": "e" * 64, "recipe": f"2-{'e' * 64}"}
+    paper = [record.model_copy(update=other) for record in fitted("xfreq-gs-paper", 0.0)]
+    text, _ = page_of(*paper, *fitted("xfreq-gs", 0.0), *fitted("gsrf", 0.0))
+    assert below(text, "full", "xfreq-gs-paper")["by"].endswith("@2-eeeeeeee")
+    assert "@" not in below(text, "full", "with our aids")["by"]
+
+
 def test_averages_are_of_the_carriers_of_the_paper_and_gains_are_told_along_them() -> None:
     def at(split: str, shift: float, method: str) -> list[RunRecord]:
         return [with_job(record, split=split) for record in fitted(method, shift)]

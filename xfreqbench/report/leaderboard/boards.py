@@ -187,6 +187,11 @@ class Board:
         """The data set as it is shown: `office@2-3f9c2ab1`."""
         return recipe_name(self.scene, self.data)
 
+    @property
+    def is_imported(self) -> bool:
+        """Whether its maps were not traced here, but published by others."""
+        return "imported_from" in self.settings
+
     def is_of(self, dataset: PasDataset) -> bool:
         """Whether the records are of a data set; digits in which processors differ do not count."""
         same_bytes = any(record.dataset_sha256 == dataset.sha256 for record in self.records)

@@ -94,12 +94,11 @@ def origin_statement(board: Board) -> str:
 def facts(ranked: Sequence[Board]) -> dict[str, list[str]]:
     """Data sets, machines, commits and dates of all records, each fact with its lines."""
     records = list({record_key(record): record for board in ranked for record in board.records}.values())
-    commits = {short_commit(record.git_commit) for record in records}
     days = sorted({record.time_utc[:10] for record in records})
     return {
         "Data": sorted({f"{board.scene}, {board.pas_kind} maps, {board.data_name}" for board in ranked}),
         "Machines": machine_names(records) or ["none: every row is external"],
-        "Commits": [", ".join(sorted(commits))],
+        "Commits": [", ".join(sorted({short_commit(record.git_commit) for record in records}))],
         "Runs": [f"{len(records):,}, {' to '.join(dict.fromkeys((days[0], days[-1])))}"],
     }
 

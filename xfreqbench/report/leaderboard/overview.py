@@ -44,7 +44,7 @@ def overview_markdown(
         *_skill_matrix(compared),
         *_other_truths(ranked),
         *rooms_overview(benches, pages.get(ROOMS, "")),
-        *_time(of_scene, pages),
+        *_time([each.board for each in compared if each.board.scene == scene], pages),
         claims,
         worse,
         f"Every board, measurement and figure: {links}. CSV files beside these pages have every split, metric, "
@@ -106,11 +106,12 @@ def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board]) -> list
     """What the records say on the five questions that everybody asks, each in a sentence with its intervals."""
     scene = of_scene[0].scene if of_scene else ""
     known = {each.board.protocol: each for each in compared if each.board.scene == scene and _fitted(each)}
+    measured = (each for each in compared if each.board.is_imported and each.board.protocol == "held-out-tx")
     found = [
         *_best(known.get("lofo"), compared),
         *_elsewhere(known.get("held-out-tx"), "At transmitters that were never heard"),
         *_elsewhere(known.get("held-out-block"), "Where whole regions of the room were never heard"),
-        *_elsewhere(next(filter(_is_measured, compared), None), "On measured maps, at transmitters never heard"),
+        *_elsewhere(next(measured, None), "On measured maps, at transmitters never heard"),
         *papers_idea(of_scene)[0],
         *_as_it_is(of_scene),
     ]
@@ -219,7 +220,7 @@ def _changes(
             continue
         outside = {record.job.split for record in rows[label].records if record.extrapolated_from}
         places: dict[tuple[str, str], list[str]] = {}
-        for split in rows[label].by_split:
+        for split in sorted(rows[label].by_split, key=outside.__contains__):
             where = f"`{board.protocol}`" + (" beyond the trained carriers" if split in outside else "")
             places.setdefault((where, split if board.protocol == "sparse" else ""), []).append(split)
         for place, splits in places.items():
@@ -314,7 +315,7 @@ def _worth(comparison: Comparison | None) -> list[str]:
 
 def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
     """The skill of each method on each board of rooms that were traced; trivial predictors are left out."""
-    compared = [each for each in compared if "imported_from" not in each.board.settings]
+    compared = [each for each in compared if not each.board.is_imported]
     # of each method the best row, which comes last here
     best = [{row.job.method: row for row in reversed(_fitted(comparison))} for comparison in compared]
     methods = sorted({method for by_method in best for method in by_method})
@@ -333,11 +334,6 @@ def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
     return [f"## Skill on every scene and protocol\n\n{caption}\n\n{table(['board', *methods], rows)}"]
 
 
-def _is_measured(comparison: Comparison) -> bool:
-    """Whether the maps were not traced here, but published by others, and nobody held out a whole region."""
-    return "imported_from" in comparison.board.settings and comparison.board.protocol == "held-out-tx"
-
-
 def _other_truths(ranked: Sequence[Board]) -> list[str]:
     """Rank and skill of every method on maps that others published, and where a room was traced by several programs."""
     by_place: dict[tuple[str, str, str, int], list[Board]] = {}
@@ -347,7 +343,7 @@ def _other_truths(ranked: Sequence[Board]) -> list[str]:
         _first_comparison(board)
         for boards in by_place.values()
         for board in boards
-        if "imported_from" in board.settings or len({each.settings.get("solver") for each in boards}) > 1
+        if board.is_imported or len({each.settings.get("solver") for each in boards}) > 1
     ]
     methods = list(dict.fromkeys(row.short_label for each in compared for row in _fitted(each)))
     if not methods:

@@ -42,13 +42,13 @@ def paper_page(found: RankedResults) -> tuple[str, str, dict[str, Callable[[Path
         return None
     distributions, cdfs = _distributions(ranked)
     maps, grids = _maps(ranked, found)
-    every = [*ranked, *(board for board in found.boards if board.scene == main_scene(found.boards))]
-    claims, idea = _claims_table(every), papers_idea(every)[1]
+    claims, idea = _claims_table(ranked), papers_idea(ranked)[1]
     caption = (
         "Differences of median SSIM × 1000, on the paper's three carriers or, where one is named, on this one. A claim "
         "*holds* where the whole interval, paired by transmitters and with three seeds of each method, lies above "
-        "zero, and *does not hold* where it lies below. Data, rooms and sizes are others than the paper's. A dash: not "
-        "run yet; presets `paper`, `equal-terms`, `ablations`, `converged` and `paper-size` have the runs."
+        "zero, and *does not hold* where it lies below. Data, rooms and sizes are others than the paper's. A data set "
+        "is named where it is not that of the boards. A dash: not run yet; presets `paper`, `equal-terms`, "
+        "`ablations`, `converged` and `paper-size` have the runs."
     )
     rows = [row for board in ranked for row in board.rows]
     parts = [
@@ -72,12 +72,11 @@ def paper_page(found: RankedResults) -> tuple[str, str, dict[str, Callable[[Path
 
 
 def _boards_of(found: RankedResults) -> list[Board]:
-    """The boards of the main scene, of one data set: of each protocol first that with most runs."""
-    main = main_scene(found.boards)
-    first = main_boards([board for board in found.boards if board.scene == main])
+    """The boards of the main scene, its main data set before others: of each protocol first that with most runs."""
+    of_scene = [board for board in found.boards if board.scene == main_scene(found.boards)]
+    first = main_boards(of_scene)
     data = {board.data for board in first[:1]}
-    others = [board for board in found.boards if board.scene == main and board not in first]
-    return [board for board in (*first, *others) if board.data in data]
+    return sorted(of_scene, key=lambda board: (board.data not in data, board not in first))
 
 
 def _is_named(named: Mapping[str, Any], row: BoardRow) -> bool:
@@ -98,10 +97,11 @@ def _ours(named: Mapping[str, Any], protocol: str, splits: Sequence[str], ranked
     return [pairs[0] for pairs in every if pairs]
 
 
-def _called(board: Board, row: BoardRow) -> str:
-    """The method of one of our rows, what is different of it, and its budget."""
+def _called(board: Board, row: BoardRow, main: Board) -> str:
+    """The method of one of our rows, what is different of it, its budget, and its data if not those of `main`."""
     words = "with our aids" if row.job.method == _PAPERS[-1] else row.whose.removeprefix("ours")
-    return ", ".join(filter(None, [row.job.method, words, board.lane]))
+    data = board.data_name if board.data != main.data else ""
+    return ", ".join(filter(None, [row.job.method, words, board.lane, data]))
 
 
 def _distributions(ranked: Sequence[Board]) -> tuple[list[str], dict[str, Callable[[Path], None]]]:
@@ -129,7 +129,7 @@ def _distributions(ranked: Sequence[Board]) -> tuple[list[str], dict[str, Callab
     cells = []
     for (name, _), (of_row, row) in found.items():
         records = [record for split in splits for record in row.by_split[split]]
-        called = _called(of_row, row) if row.family == "learned" else row.label
+        called = _called(of_row, row, board) if row.family == "learned" else row.label
         for metric, panel in zip(("ssim", "psnr"), panels.values(), strict=True):
             panel[called] = pooled_quantiles(records, metric)
         levels = [panel[called][_LEVEL] for panel in panels.values()]
@@ -226,7 +226,7 @@ def _papers_tables(ranked: Sequence[Board]) -> list[str]:
                 for column, splits in zip(theirs["columns"], of_columns, strict=True):
                     of_column = statistics.get(column, ("ssim", "median", 4))
                     cells.append(_statistic(Comparison(board, tuple(splits)), row, *of_column))
-                rows.append(["", _called(board, row), *cells])
+                rows.append(["", _called(board, row, ranked[0]), *cells])
         if rows:
             header = (theirs["first_column"], "by", *theirs["columns"])
             parts.append(f"{theirs['title']}:\n\n{table(header, rows, prose)}")
@@ -294,7 +294,7 @@ def _maps(ranked: Sequence[Board], found: RankedResults) -> tuple[list[str], dic
             ssim = [maps.predicted[key].ssim[place] for place in places]
             columns[short_name(split)] = maps.levels()[places], maps.levels(key)[places], ssim
         caption = (
-            f"{_called(board, row)}: maps of {len(shown_m)} transmitters, spread from easy to hard ones, at "
+            f"{_called(board, row, ranked[0])}: maps of {len(shown_m)} transmitters, spread from easy to hard ones, at "
             f"{len(columns)} carriers that were left out in turn, the truth above the prediction. Azimuth to the "
             "right, elevation upwards, powers down to 30 dB below the peak."
         )

@@ -45,7 +45,7 @@ Results = RankedResults | Path | Sequence[Path]
 
 
 def results_at(name: str | Path) -> Path:
-    """Where results are that somebody names: by their path, their address (http, https), or as a frozen version, `v1`.
+    """Where results are that somebody names: by their path, their address (http, https), or as a frozen version, `v2`.
 
     A file at an address is downloaded each time, as boards grow. A frozen version is a file of records whose hash
     is in `versions.txt`. Raises `DataError` where nothing answers, or a frozen version is no longer what it was.

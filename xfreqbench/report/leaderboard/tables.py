@@ -79,7 +79,7 @@ class Leaderboard:
 def leaderboard(results: FilePath | Sequence[InstanceOf[RunRecord]] | Sequence[FilePath] = "results") -> Leaderboard:
     """The leaderboard of results folders, of files of records, or of records that `run` returned, to be shown.
 
-    A file may be at an address (https), and may be a frozen version of the reference board by its name, `v1`. The
+    A file may be at an address (https), and may be a frozen version of the reference board by its name, `v2`. The
     records of several paths are ranked together. Raises `DataError` where there are no records, or one cannot be read.
     """
     given = [results] if isinstance(results, str | Path) else results
