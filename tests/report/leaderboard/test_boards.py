@@ -76,6 +76,13 @@ def test_protocols_of_a_data_set_stand_in_their_order() -> None:
     assert [board.protocol for board in found] == list(protocols)
 
 
+def test_scenes_stand_in_their_order_and_of_each_the_newer_physics_first() -> None:
+    at = [("b", "3-cc"), ("a", "2-aa"), ("b", "2-bb"), ("a", "3-dd"), ("a", "3-cc")]
+    found = boards([make_record().model_copy(update={"scene": scene, "recipe": data}) for scene, data in at])
+    expected = [("a", "3-cc"), ("a", "3-dd"), ("a", "2-aa"), ("b", "3-cc"), ("b", "2-bb")]
+    assert [(board.scene, board.data) for board in found] == expected
+
+
 def test_a_commit_is_cut_and_keeps_that_the_source_was_edited() -> None:
     commits = ["0123456789", "0123456789+changes", None]
     assert list(map(short_commit, commits)) == ["0123456", "0123456+changes", "?"]

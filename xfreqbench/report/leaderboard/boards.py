@@ -267,7 +267,7 @@ def boards(
 ) -> list[Board]:
     """One board for each data set, protocol and budget.
 
-    They are in the order of scenes, data sets, `protocols()` and then `VALIDATIONS`, the board with most runs first.
+    They are in the order of scenes, data sets, of newer physics first, `protocols()` and `VALIDATIONS`, and of runs.
     Without `by_budget` rows of all budgets share a board. Data sets are told apart by their recipes, and `sources`
     names the results that records lie in. Of a job that was run twice, the later record counts; of the same job on
     other bytes of the same data there is another row, but for trivial predictors, whose first stays. Raises
@@ -290,9 +290,10 @@ def boards(
 
     def place(board: Board) -> tuple[object, ...]:
         protocol = order.get(board.protocol, len(order))
-        return board.scene, board.data, protocol, -len(board.records), _natural(board.lane)
+        return board.data, protocol, -len(board.records), _natural(board.lane)
 
-    return sorted(found, key=place)
+    newer_first = sorted(sorted(found, key=place), key=lambda board: board.data.partition("-")[0], reverse=True)
+    return sorted(newer_first, key=lambda board: board.scene)
 
 
 def _board(
@@ -314,8 +315,7 @@ def _board(
 
     rows = sorted(_rows(records), key=place)
     data = records[0]  # all records of a board describe the same data set
-    is_of_several = len({sources.get(record_key(record), "") for record in records}) > 1
-    named = sources if is_of_several else {}
+    named = sources if len({sources.get(record_key(record), "") for record in records}) > 1 else {}
     return Board(*where, lane, data.pas_kind, data.settings, tuple(splits), tuple(rows), named)
 
 
