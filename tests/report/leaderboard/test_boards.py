@@ -77,9 +77,9 @@ def test_protocols_of_a_data_set_stand_in_their_order() -> None:
 
 
 def test_scenes_stand_in_their_order_and_of_each_the_newer_physics_first() -> None:
-    at = [("b", "3-cc"), ("a", "2-aa"), ("b", "2-bb"), ("a", "3-dd"), ("a", "3-cc")]
+    at = [("b", "9-cc"), ("a", "2-aa"), ("b", "10-bb"), ("a", "3-dd"), ("a", "3-cc")]
     found = boards([make_record().model_copy(update={"scene": scene, "recipe": data}) for scene, data in at])
-    expected = [("a", "3-cc"), ("a", "3-dd"), ("a", "2-aa"), ("b", "3-cc"), ("b", "2-bb")]
+    expected = [("a", "3-cc"), ("a", "3-dd"), ("a", "2-aa"), ("b", "10-bb"), ("b", "9-cc")]
     assert [(board.scene, board.data) for board in found] == expected
 
 

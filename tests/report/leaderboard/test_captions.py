@@ -182,7 +182,7 @@ def test_the_reference_records_are_of_the_data_that_the_standard_benchmark_gener
     reference = [
         board
         for board in boards(read_records(ROOT / "baselines" / "reference_results.parquet"))
-        if board.data not in shipped and "imported_from" not in board.settings
+        if board.data not in shipped and not board.is_imported
     ]
     benchmark, scenes = Benchmark("standard", tmp_path, tmp_path), {board.scene for board in reference}
     assert {"office", "two_rooms"} <= scenes <= set(benchmark.scenes)

@@ -289,11 +289,11 @@ def boards(
     order = {protocol: place for place, protocol in enumerate((*protocols(), *VALIDATIONS))}
 
     def place(board: Board) -> tuple[object, ...]:
-        protocol = order.get(board.protocol, len(order))
-        return board.data, protocol, -len(board.records), _natural(board.lane)
+        return board.data, order.get(board.protocol, len(order)), -len(board.records), _natural(board.lane)
 
-    newer_first = sorted(sorted(found, key=place), key=lambda board: board.data.partition("-")[0], reverse=True)
-    return sorted(newer_first, key=lambda board: board.scene)
+    found.sort(key=place)
+    found.sort(key=lambda board: _natural(board.data.partition("-")[0]), reverse=True)
+    return sorted(found, key=lambda board: board.scene)
 
 
 def _board(
