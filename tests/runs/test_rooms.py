@@ -123,17 +123,23 @@ def test_the_report_has_tables_by_number_heard_carrier_type_and_sight_and_a_curv
     }
     alone = room_tables([record for record in read_records(results) if record.job.method == "room-lags"])
     assert alone and not any(table.figure for table in alone)  # without a trivial predictor no skill is known
-    (shown,) = rooms_overview(read_results(results).benches, "more.md")
-    assert len(shown.splitlines()) <= 12 and f"| {learned} " in shown
+    (shown,) = rooms_overview(read_results(results).benches, "results/more.md")
+    methods = [line.split("|")[1].strip() for line in shown.splitlines() if line.startswith("|")][2:]
+    assert methods[0].startswith(learned) and methods[-1] == "line-of-sight" and len(methods) == 3  # one baseline
+    assert "](results/figures/bench-" in shown
 
 
 @pytest.mark.slow
-def test_other_seeds_collections_and_commits_have_rows_tables_and_names_of_their_own(results: Path) -> None:
+def test_seeds_are_pooled_and_other_collections_and_commits_have_tables_and_names_of_their_own(results: Path) -> None:
     stored = read_records(results)
     again = [record.model_copy(update={"job": replace(record.job, seed=1)}) for record in stored]
-    assert {row[0].rpartition(", ")[2] for row in room_tables([*stored, *again])[0].rows} == {
-        *("line-of-sight", "nearest", "seed 0", "seed 1")
-    }
+    alone, pooled = (room_tables(records)[0] for records in (stored, [*stored, *again]))
+    column = pooled.columns.index("seeds")
+    assert {row[column] for row in alone.rows} == {"1"} and {row[column] for row in pooled.rows} == {"2"}
+    assert [row[:column] for row in alone.rows] == [row[:column] for row in pooled.rows]  # the same twice
+    job = {"protocol": "unseen-rooms-plan", "method": "plan-tracer", "overrides": ()}
+    told = [record.model_copy(update={"job": replace(record.job, **job)}) for record in stored[-4:]]
+    assert "| plan-tracer (told the plan)" in rooms_overview(room_tables([*told, *stored]), "results/more.md")[0]
     settings = stored[0].settings | {"rooms_trained_on": 1000}
     more = {"recipe": "data-0123456789", "settings": settings, "counts": stored[0].counts | {answers.NUM_ROOMS: 1000}}
     larger = [record.model_copy(update=more | {"git_commit": "0123456789"}) for record in stored[:-4]]

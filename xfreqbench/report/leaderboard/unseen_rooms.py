@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import compress, groupby
 from math import inf, isnan, nan
+from statistics import mean
 from typing import Any
 
 import numpy as np
@@ -27,9 +28,11 @@ from xfreqbench.units import format_ghz, ghz_to_hz
 
 ROOMS = ROOM_PROTOCOLS[0]  # the name of the measurement that its tables are
 _TRAINED = "trained types"
-_MORE = ("skill", "s a room", "s to learn", "rooms learned from")
+_SKILL = "skill over the best trivial predictor"
+_MORE = ("skill", "seeds", "s a room", "s to learn", "rooms learned from")
 _Chosen = Callable[[RunRecord], list[FloatArray]]  # SSIM in each room that has any such map
-_Runs = dict[tuple[str, str], dict[int, RunRecord]]  # by rooms and method, then by the number of transmitters heard
+_Seeds = dict[int, RunRecord]
+_Runs = dict[tuple[str, str], dict[int, _Seeds]]  # by rooms and method, then by the number of transmitters heard
 
 
 def is_of_rooms(record: RunRecord) -> bool:
@@ -114,21 +117,19 @@ def _tables(records: Sequence[RunRecord], data: str) -> list[BenchRecord]:
 
 
 def _runs(records: Sequence[RunRecord]) -> _Runs:
-    """The runs of each row, the best row first; a label says budget and seed where a method has several."""
+    """The runs of each row, the best row first; a label says the budget where a method has several."""
     budgets: dict[str, set[str]] = {}
-    seeds: dict[str, set[int]] = {}
     names = [" ".join([record.job.method, *record.job.overrides]) for record in records]
     for name, record in zip(names, records, strict=True):
         budgets.setdefault(_without_choice(name), set()).add(budget_text(record.job.budget))
-        seeds.setdefault(name, set()).add(record.job.seed)
     runs: _Runs = {}
     for name, record in zip(names, records, strict=True):
         label = name
         if name not in EVERY_TRIVIAL:
             label += f", {budget_text(record.job.budget)}" if len(budgets[_without_choice(name)]) > 1 else ""
-            label += f", seed {record.job.seed}" if len(seeds[name]) > 1 else ""
         part, number = record.job.split.rpartition("heard-")[0], record.job.split.rpartition("-")[2]
-        runs.setdefault((part.rstrip("-") or _TRAINED, label), {})[int(number)] = record
+        row = runs.setdefault((part.rstrip("-") or _TRAINED, label), {})
+        row.setdefault(int(number), {})[record.job.seed] = record
 
     def standing(row: tuple[str, str]) -> tuple[bool, float]:
         reached = _skill(row[1], _values(runs, row[0], max(runs[row]), _unheard))
@@ -147,9 +148,9 @@ def _note(record: RunRecord) -> str:
     return (
         "A cell has the median SSIM of maps at 2.4, 24.25 and 77 GHz, where a method has heard 1, 10 and 60 GHz, and "
         "the mean over rooms of how much higher their median SSIM is than that of `line-of-sight`, with its 95 % "
-        f"interval when rooms are resampled. There were {trained} rooms to train on. Skill is that over the best "
-        "trivial predictor, at the most heard. Seconds a room are those to adapt to a room and to predict "
-        f"{record.num_test // tested} maps."
+        f"interval when rooms are resampled; maps of all seeds are pooled. There were {trained} rooms to train on. "
+        "Skill is that over the best trivial predictor, at the most heard. Seconds a room are those to adapt to a room "
+        f"and to predict {record.num_test // tested} maps."
     )
 
 
@@ -180,7 +181,11 @@ def _median(scores: list[FloatArray]) -> float:
 def _values(runs: _Runs, part: str, number: int, chosen: _Chosen) -> dict[str, list[FloatArray]]:
     """Scores of every method that has any, where a number of transmitters is heard."""
     found = {label: run[number] for (of_part, label), run in runs.items() if of_part == part and number in run}
-    return {label: scores for label, record in found.items() if (scores := chosen(record))}
+    pooled = {
+        label: [np.concatenate(room) for room in zip(*map(chosen, seeds.values()), strict=True)]
+        for label, seeds in found.items()
+    }
+    return {label: scores for label, scores in pooled.items() if scores}
 
 
 def _cells(runs: _Runs, part: str, label: str, chosen: _Chosen) -> list[str]:
@@ -211,20 +216,25 @@ def _cell(values: list[FloatArray], start: list[FloatArray] | None) -> str:
     return f"{_median(values):.3f}, {by_room.mean():+.3f} [{low:+.3f}, {high:+.3f}]"
 
 
-def _seconds(run: dict[int, RunRecord]) -> list[str]:
-    """Cells of the seconds for a new room where most is heard, of the fit across rooms, and how many rooms it saw."""
-    record = run[max(run)]
-    learned_from = f"{record.counts[NUM_ROOMS]:,.0f}" if NUM_ROOMS in record.counts else ABSENT
-    return [f"{record.counts[ROOM_SECONDS]:.2f}", f"{record.fit_seconds:.0f}", learned_from]
+def _seconds(run: dict[int, _Seeds]) -> list[str]:
+    """Cells of the number of seeds, and of their means: the seconds for a new room where most is heard and of the fit
+    across rooms, and how many rooms it saw."""
+    records = run[max(run)].values()
+    room_s, fit_s = (
+        mean(each.counts[ROOM_SECONDS] for each in records),
+        mean(each.fit_seconds or 0.0 for each in records),
+    )
+    num_rooms = next(iter(records)).counts.get(NUM_ROOMS)
+    return [f"{len(records)}", f"{room_s:.2f}", f"{fit_s:.0f}", f"{num_rooms:,.0f}" if num_rooms else ABSENT]
 
 
 def _figure(runs: _Runs) -> BenchFigure | None:
-    """The skill of what is not trivial, by the number of transmitters heard."""
+    """The skill of methods as they are, or if all have options of these, by the number of transmitters heard."""
+    rows = [row for row in runs if row[1] not in EVERY_TRIVIAL]
     points = [
         (f"{label}, {part}", float(number), _skill(label, _values(runs, part, number, _unheard)))
-        for (part, label), run in runs.items()
-        if label not in EVERY_TRIVIAL
-        for number in sorted(run)
+        for part, label in [row for row in rows if "=" not in row[1]] or rows
+        for number in sorted(runs[part, label])
     ]
     return _drawn("transmitters heard", points, log_x=False)
 
@@ -234,12 +244,13 @@ def _curve(runs: _Runs) -> BenchFigure | None:
     points = [
         (
             f"{_without_choice(label)}, {part}, {number} heard",
-            record.counts[NUM_ROOMS],
+            num_rooms,
             _skill(label, _values(runs, part, number, _unheard)),
         )
         for (part, label), run in runs.items()
-        for number, record in run.items()
-        if number in (min(NUMS_HEARD), max(NUMS_HEARD)) and NUM_ROOMS in record.counts
+        for number, seeds in run.items()
+        if number in (min(NUMS_HEARD), max(NUMS_HEARD))
+        and (num_rooms := next(iter(seeds.values())).counts.get(NUM_ROOMS)) is not None
     ]
     lengths = Counter(series for series, *_ in points)
     return _drawn("rooms learned from", [point for point in points if lengths[point[0]] > 1], log_x=True)
@@ -248,20 +259,26 @@ def _curve(runs: _Runs) -> BenchFigure | None:
 def _drawn(x_label: str, points: Sequence[tuple[str, float, float]], log_x: bool) -> BenchFigure | None:
     """A figure of the points of known skill, each with its series, x and y; None without any."""
     known = tuple(BenchPoint(series=series, label="", x=x, y=y) for series, x, y in points if not isnan(y))
-    y_label = "skill over the best trivial predictor"
-    return BenchFigure(x_label=x_label, y_label=y_label, log_x=log_x, points=known, x_is_cost=False) if known else None
+    return BenchFigure(x_label=x_label, y_label=_SKILL, log_x=log_x, points=known, x_is_cost=False) if known else None
 
 
 def rooms_overview(tables: Iterable[BenchRecord], page: str) -> list[str]:
-    """The methods with most skill in rooms of the types trained on, in short: a section of a report, or none."""
-    for found in tables:
-        if found.bench == ROOMS and found.title.split(" · ")[1] == ROOMS and " · by " not in found.title:
-            rows = [
-                [row[0], *(cell.partition(", ")[0] for cell in row[2:])] for row in found.rows if row[1] == _TRAINED
-            ]
-            rows.sort(key=lambda row: "=" in row[0])  # methods as they are, before those with options
-            columns = [column for column in found.columns if column != "rooms"]
-            figure = f" ([figure]({page.rpartition('/')[0]}/{bench_figure(found)}))" if found.figure else ""
-            caption = f"Median SSIM by the transmitters heard of a room that was never seen. [More]({page}){figure}"
-            return [f"## Unseen rooms\n\n{caption}\n\n{table(columns, rows[:6], prose)}"]
-    return []
+    """The best methods and baseline in rooms of the types trained on, in short: a section of a report, or none.
+
+    Below those that know what they hear are those that are told the plan.
+    """
+    every = [each for each in tables if each.bench == ROOMS and " · by " not in each.title]
+    found = {each.title.split(" · ")[1]: each for each in reversed(every)}  # the first of each protocol
+    if ROOMS not in found:
+        return []
+    rows = []
+    for protocol, number, told in zip(ROOM_PROTOCOLS, (3, 2), ("", " (told the plan)"), strict=True):
+        of_board = [row for row in found[protocol].rows if row[1] == _TRAINED] if protocol in found else []
+        of_board.sort(key=lambda row: "=" in row[0])  # methods as they are, before those with options
+        learned = [row for row in of_board if row[0] not in EVERY_TRIVIAL][:number]
+        baseline = [row for row in of_board if row[0] in EVERY_TRIVIAL][:1] if protocol == ROOMS else []
+        rows += [[row[0] + told, *(cell.partition(", ")[0] for cell in row[2:])] for row in learned + baseline]
+    columns = [column for column in found[ROOMS].columns if column != "rooms"]
+    caption = f"Median SSIM by the transmitters heard of a room that was never seen. [More]({page})"
+    picture = f"\n\n![{_SKILL}]({page.rpartition('/')[0]}/{bench_figure(found[ROOMS])})" if found[ROOMS].figure else ""
+    return [f"## Unseen rooms\n\n{caption}\n\n{table(columns, rows, prose)}{picture}"]
