@@ -2,8 +2,9 @@
 
 Where 32 or more of the given transmitters are in line of sight, planes are found in their maps (`search`). For a
 transmitter that is asked for, the direct wave and one and two reflections by the planes are traced with their phases.
-Most of what the reflections change in the direct wave's sums over lags is added to the sums of `room-lags`. Where fewer
-are in line of sight, or no plane is found, it is `room-lags`.
+What the reflections change in the direct wave's sums over lags is added to the sums of `room-lags`, of each plane as
+much as is heard of it around that place (`shares`). Where fewer are in line of sight, or no plane is found, it is
+`room-lags`.
 """
 
 from __future__ import annotations
@@ -29,9 +30,10 @@ from xfreqbench.types import FloatArray
 
 from ..room_lags import RoomLags, RoomLagsConfig, RoomLagsPredictor, heard_sums
 from .search import ArrayView, FoundPlane, PlaneSearch, slabs_in
+from .shares import HeardShares
 
 _LEAST_IN_SIGHT = 32  # transmitters; with fewer, what is found makes predictions worse
-_TRUST = 0.7  # how much of what reflections change is added, as planes may be false or hidden
+_START = 0.7  # share of all planes at which the effect of each is taken
 _SLABS_FILE = "slabs.json"
 _SLABS = TypeAdapter(list[Slab])
 
@@ -77,9 +79,8 @@ class RoomPlanes(RoomLags):
             self.config.least_score,
             self.config.max_planes,
         )
-        if search.num_in_sight < _LEAST_IN_SIGHT:
-            return predictor
-        return _WithPlanes(predictor, search.view, search.planes())
+        planes = search.planes() if search.num_in_sight >= _LEAST_IN_SIGHT else []
+        return _WithPlanes(predictor, search, planes) if planes else predictor
 
     def save(self, directory: Path) -> None:
         """As `RoomLags.save`, and the slabs as JSON."""
@@ -98,19 +99,41 @@ class RoomPlanes(RoomLags):
 class _WithPlanes(RoomLagsPredictor):
     """Predicts as another, with the reflections by planes."""
 
-    def __init__(self, other: RoomLagsPredictor, view: ArrayView, planes: Sequence[FoundPlane]) -> None:
+    def __init__(self, other: RoomLagsPredictor, search: PlaneSearch, planes: Sequence[FoundPlane]) -> None:
         vars(self).update(vars(other))
-        self.view, self.planes = view, list(planes)
+        self.view, self.planes = search.view, list(planes)
+        tx_m, num_tx = search.tx_m, len(search.tx_m)
+        known, effect = [], []
+        for carrier in search.carrier_hz.tolist():
+            share = np.full((num_tx, len(planes)), _START)
+            known.append(other.sums(tx_m + np.asarray(self.receiver.position_m), np.full(num_tx, carrier)).detach())
+            every = self._change(tx_m, carrier, share)
+            others = [self._change(tx_m, carrier, np.where(one, 0, share)) for one in np.eye(len(planes), dtype=bool)]
+            effect.append((every - torch.stack(others)) / _START)
+        self._shares = HeardShares.of(
+            tx_m,
+            search.sums.astype(float),
+            torch.stack(known, dim=1).double().numpy(),
+            torch.stack(effect, dim=2).double().numpy(),
+            np.tile(search.lags.weight, 2),
+        )
 
     def sums(self, tx_position_m: Float[FloatArray, "B 3"], carrier_hz: Float[FloatArray, "B"]) -> Float[Tensor, "B L"]:
         """Those of the other, more by what reflections change in those of the direct wave."""
         sums, offset_m = super().sums(tx_position_m, carrier_hz), tx_position_m - np.asarray(self.receiver.position_m)
         for carrier in np.unique(carrier_hz).tolist():
             here = np.flatnonzero(carrier_hz == carrier)
-            reflected, direct = (
-                self.field.beams.lags_of_channels(torch.as_tensor(channels[0].astype(np.complex64)))
-                for planes in (self.planes, [])
-                for channels in [self.view.channels(planes, offset_m[here], np.array([carrier]))]
-            )
-            sums[here] += _TRUST * (reflected - direct)
+            sums[here] += self._change(offset_m[here], carrier, self._shares.at(offset_m[here]))
         return sums
+
+    def _change(
+        self, tx_m: Float[FloatArray, "B 3"], carrier_hz: float, share: Float[FloatArray, "B P"]
+    ) -> Float[Tensor, "B L"]:
+        """What shares of the planes change in the sums of the direct waves of transmitters, as seen from the array."""
+        reflected, direct = (
+            self.field.beams.lags_of_channels(torch.as_tensor(channels[0].astype(np.complex64)))
+            for each in (share, 0.0)
+            for channels in [self.view.channels(self.planes, tx_m, np.array([carrier_hz]), each)]
+        )
+        changed: Tensor = reflected - direct
+        return changed

@@ -103,11 +103,15 @@ class ArrayView:
     antenna: Antenna
 
     def channels(
-        self, planes: Sequence[FoundPlane], tx_m: Float[FloatArray, "T 3"], carrier_hz: Float[FloatArray, "F"]
+        self,
+        planes: Sequence[FoundPlane],
+        tx_m: Float[FloatArray, "T 3"],
+        carrier_hz: Float[FloatArray, "F"],
+        share: Float[FloatArray, "T P"] | float = 1.0,
     ) -> Channels:
         """Channels of direct waves with one and two reflections by planes, in units of the direct wave.
 
-        Transmitters are seen from the array, in world axes.
+        Transmitters are seen from the array, in world axes. Of each plane's field a share reflects.
         """
         normal = torch.tensor(np.array([plane.normal for plane in planes]).reshape(-1, 3))
         distance_m = torch.tensor([plane.distance_m for plane in planes], dtype=torch.float64)
@@ -116,6 +120,10 @@ class ArrayView:
         length_m, direct_m = paths.length_m.numpy(), paths.direct_m.numpy()
         spread = paths.is_real.numpy() * direct_m[:, None] / length_m
         bounced, cosine = paths.bounce.plane.numpy(), paths.bounce.cosine.double().numpy()
+        shares = np.ones((len(tx_m), len(planes) + 1))  # the last one where nothing is met, of which the number is -1
+        shares[:, :-1] = share
+        for bounce in range(order.shape[1]):
+            spread = spread * np.take_along_axis(shares, bounced[..., bounce], axis=1)
         channels = []
         for carrier in carrier_hz.tolist():
             wavelength_m = SPEED_OF_LIGHT_M_S / carrier

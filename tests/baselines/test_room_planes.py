@@ -9,6 +9,7 @@ import pytest
 from xfreqbench.baselines.room_lags import RoomLags, RoomLagsConfig
 from xfreqbench.baselines.room_planes.method import RoomPlanes, RoomPlanesConfig
 from xfreqbench.baselines.room_planes.search import ArrayView, FoundPlane, PlaneSearch, slabs_in
+from xfreqbench.baselines.room_planes.shares import HeardShares
 
 from tests.support.rooms import tiny_rooms
 from xfreqbench.data.collection import Collection
@@ -68,6 +69,26 @@ def test_planes_are_found_to_a_millimetre_with_their_slabs() -> None:
     for plane, true in zip(found, (WALL, FLOOR), strict=True):
         np.testing.assert_array_equal(plane.normal, true.normal)
         assert abs(plane.distance_m - true.distance_m) < 1e-3
+
+
+def test_a_plane_has_a_share_where_it_is_heard_and_none_where_it_ends_or_is_false() -> None:
+    random = np.random.default_rng(1)
+    tx_m = random.uniform((0, 0, 1), (10, 6, 2), size=(400, 3))
+    known, effect = random.normal(size=(400, 3, 24)), 0.2 * random.normal(size=(2, 400, 3, 24))
+    is_seen = tx_m[:, 0] < 5  # the first plane ends; the second is none
+    heard = 7.0 * (known + 0.8 * is_seen[:, None, None] * effect[0])  # maps say nothing of power
+    shares = HeardShares.of(tx_m, heard, known, effect, random.uniform(1, 4, 24))
+    seen, unseen = shares.at(np.array([[1.0, 3, 1.5], [9, 3, 1.5]]))
+    np.testing.assert_allclose(seen, [0.8, 0], atol=0.12)
+    np.testing.assert_allclose(unseen, [0, 0], atol=0.12)
+    assert (shares.at(np.array([[1.0, 3, 40]])) < 1e-6).all()  # nothing is heard there
+
+
+def test_shares_scale_the_field_that_planes_reflect() -> None:
+    offset_m, _ = traced(3)
+    none, half, whole = (VIEW.channels([WALL], offset_m, CARRIER_HZ, share) for share in (0.0, 0.5, 1.0))
+    np.testing.assert_allclose(half, (none + whole) / 2, rtol=1e-12)
+    np.testing.assert_array_equal(none, VIEW.channels([], offset_m, CARRIER_HZ))
 
 
 @pytest.fixture(scope="module")
