@@ -63,12 +63,18 @@ class RoomPlanes(RoomLags):
 
     def adapt(self, heard: PasDataset, budget: Budget) -> RoomLagsPredictor:
         """As `RoomLags.adapt`, with the planes that are found."""
+        predictor, search = self.heard(heard)
+        planes = search.planes() if search else []
+        return WithPlanes(predictor, search, planes) if search and planes else predictor
+
+    def heard(self, heard: PasDataset) -> tuple[RoomLagsPredictor, PlaneSearch | None]:
+        """The predictor of `room-lags`, and the search for planes where it promises something."""
         position_m, sums = heard_sums(heard)
         predictor, receiver = self.adapted(heard, position_m, sums), heard.header.receiver
         pattern, polarization, turned_deg = receiver.antenna
         is_known = pattern != "tr38901" and not any(turned_deg)
         if not (is_known and self.slabs) or len(position_m) < _LEAST_IN_SIGHT:
-            return predictor
+            return predictor, None
         element = heard.beam.element_position_wavelengths @ receiver.rotation.T
         search = PlaneSearch(
             ArrayView(element, (pattern, polarization)),
@@ -79,8 +85,7 @@ class RoomPlanes(RoomLags):
             self.config.least_score,
             self.config.max_planes,
         )
-        planes = search.planes() if search.num_in_sight >= _LEAST_IN_SIGHT else []
-        return _WithPlanes(predictor, search, planes) if planes else predictor
+        return predictor, search if search.num_in_sight >= _LEAST_IN_SIGHT else None
 
     def save(self, directory: Path) -> None:
         """As `RoomLags.save`, and the slabs as JSON."""
@@ -96,7 +101,7 @@ class RoomPlanes(RoomLags):
         return method
 
 
-class _WithPlanes(RoomLagsPredictor):
+class WithPlanes(RoomLagsPredictor):
     """Predicts as another, with the reflections by planes."""
 
     def __init__(self, other: RoomLagsPredictor, search: PlaneSearch, planes: Sequence[FoundPlane]) -> None:
@@ -110,7 +115,7 @@ class _WithPlanes(RoomLagsPredictor):
             every = self._change(tx_m, carrier, share)
             others = [self._change(tx_m, carrier, np.where(one, 0, share)) for one in np.eye(len(planes), dtype=bool)]
             effect.append((every - torch.stack(others)) / _START)
-        self._shares = HeardShares.of(
+        self.shares = HeardShares.of(
             tx_m,
             search.sums.astype(float),
             torch.stack(known, dim=1).double().numpy(),
@@ -123,7 +128,7 @@ class _WithPlanes(RoomLagsPredictor):
         sums, offset_m = super().sums(tx_position_m, carrier_hz), tx_position_m - np.asarray(self.receiver.position_m)
         for carrier in np.unique(carrier_hz).tolist():
             here = np.flatnonzero(carrier_hz == carrier)
-            sums[here] += self._change(offset_m[here], carrier, self._shares.at(offset_m[here]))
+            sums[here] += self._change(offset_m[here], carrier, self.shares.at(offset_m[here]))
         return sums
 
     def _change(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from xfreqbench.baselines.room_lags import RoomLags, RoomLagsConfig
 from xfreqbench.baselines.room_planes.method import RoomPlanes, RoomPlanesConfig
 from xfreqbench.baselines.room_planes.search import ArrayView, FoundPlane, PlaneSearch, slabs_in
 from xfreqbench.baselines.room_planes.shares import HeardShares
+from xfreqbench.examples.what_room_planes_miss import ssim_of_parts, true_planes
 
 from tests.support.rooms import tiny_rooms
 from xfreqbench.data.collection import Collection
@@ -117,6 +119,13 @@ def test_it_is_room_lags_where_little_is_heard_and_the_same_when_it_is_loaded(
         }
         np.testing.assert_array_equal(maps["planes"], maps["loaded"])
         assert np.array_equal(maps["planes"], maps["lags"]) == (split.num_heard < 32)
+    (room,), (seed,) = rooms.part("test"), [each.seed for each in rooms.part("test").rooms]
+    (wall,) = true_planes(room)
+    assert (wall.normal == (1, 0, 0)).all() and 1.5 < wall.distance_m < 4 and wall.slab == Slab("wood", 0.02)
+    parts = dict(islice(ssim_of_parts(room, seed, planes), 7))  # the rest is traced, and this room was not
+    assert len({*parts.values()}) > 3 and all(0 < value < 1 for value in parts.values())
+    best = max(parts, key=lambda words: parts[words])
+    assert best.startswith(("room-planes", "planes found", "true planes")) and parts[best] > parts["room-lags"]
 
 
 def test_it_refuses_to_adapt_before_it_has_learned(rooms: Collection) -> None:

@@ -105,8 +105,8 @@ def test_one_fit_serves_all_numbers_heard_and_finished_rooms_are_kept_but_damage
 
 
 @pytest.mark.slow
-def test_the_report_has_tables_by_number_heard_carrier_type_and_sight_and_a_curve_over_rooms(results: Path) -> None:
-    by_number, by_carrier, by_type, by_sight, curve = read_results(results).benches
+def test_the_report_has_tables_by_number_heard_carrier_type_and_sight(results: Path) -> None:
+    by_number, by_carrier, by_type, by_sight = read_results(results).benches
     learned = f"room-lags {' '.join(SMALL)}"
     of_method = {row[0]: row[2:] for row in by_number.rows}  # the best first
     assert [*of_method][2:] == ["line-of-sight", "nearest"] and {*of_method} >= {learned, f"{learned} trained_on=2"}
@@ -117,10 +117,7 @@ def test_the_report_has_tables_by_number_heard_carrier_type_and_sight_and_a_curv
     assert {row[2] for row in by_type.rows} == {"box"}
     assert {row[2] for row in by_sight.rows} == {"in sight"}  # nothing hides a transmitter in these rooms
     assert by_number.figure and {point.x for point in by_number.figure.points} == {0, 4, 16, 64}
-    assert curve.figure and not curve.figure.x_is_cost
-    assert {(point.series, point.x) for point in curve.figure.points} == {
-        (f"{learned}, trained types, {number} heard", num_rooms) for number in (0, 64) for num_rooms in (2, 4)
-    }
+    assert {row[-1] for row in by_number.rows} == {"–", "2", "4"}  # rooms learned from
     alone = room_tables([record for record in read_records(results) if record.job.method == "room-lags"])
     assert alone and not any(table.figure for table in alone)  # without a trivial predictor no skill is known
     (shown,) = rooms_overview(read_results(results).benches, "results/more.md")

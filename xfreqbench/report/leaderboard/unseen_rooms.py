@@ -1,4 +1,4 @@
-"""Tables of runs on unseen rooms: by transmitters heard, carrier, type of room, line of sight, rooms learned from."""
+"""Tables of runs on unseen rooms: by transmitters heard, carrier, type of room, and line of sight."""
 
 from __future__ import annotations
 
@@ -72,9 +72,7 @@ def _tables(records: Sequence[RunRecord], data: str) -> list[BenchRecord]:
         "carrier": {format_ghz(ghz_to_hz(each)): partial(_at_carriers, [each]) for each in ASKED_GHZ},
         "type of room": {each: partial(_of_type, each) for each in types},
         "line of sight": {"in sight": partial(_in_sight, "1"), "hidden": partial(_in_sight, "0")},
-        _MORE[-1]: {"": _unheard},
     }
-    figures = {"": _figure(runs), _MORE[-1]: _curve(runs)}
     last, machines = records[-1], machine_names(records)
     commits = Counter(short_commit(record.git_commit) for record in records)
     note = _note(last)
@@ -83,20 +81,13 @@ def _tables(records: Sequence[RunRecord], data: str) -> list[BenchRecord]:
     note += f" Machines: {'; '.join(machines)}." if len(machines) > 1 else ""
     tables = []
     for what, named in choices.items():
-        is_curve = what == _MORE[-1]
-        if is_curve and figures[what] is None:
-            continue
         columns = ("method", "rooms", *([what] if all(named) else []))
         rows = [
             (label, *filter(None, [part, name]), *_cells(runs, part, label, chosen), *_seconds(found))
             for (part, label), found in runs.items()
             for name, chosen in named.items()
         ]
-        shown = [
-            row
-            for row in rows
-            if any(cell != ABSENT for cell in row[len(columns) : -len(_MORE)]) and not (is_curve and row[-1] == ABSENT)
-        ]
+        shown = [row for row in rows if any(cell != ABSENT for cell in row[len(columns) : -len(_MORE)])]
         tables.append(
             BenchRecord(
                 bench=ROOMS,
@@ -106,7 +97,7 @@ def _tables(records: Sequence[RunRecord], data: str) -> list[BenchRecord]:
                 note=note,
                 columns=(*columns, *(f"{number} heard" for number in NUMS_HEARD), *_MORE),
                 rows=tuple(shown),
-                figure=figures.get(what),
+                figure=None if what else _figure(runs),
                 hardware=last.hardware,
                 software=last.software,
                 git_commit=last.git_commit,
@@ -236,30 +227,9 @@ def _figure(runs: _Runs) -> BenchFigure | None:
         for part, label in [row for row in rows if "=" not in row[1]] or rows
         for number in sorted(runs[part, label])
     ]
-    return _drawn("transmitters heard", points, log_x=False)
-
-
-def _curve(runs: _Runs) -> BenchFigure | None:
-    """The skill of methods that learned from several numbers of rooms, by that number."""
-    points = [
-        (
-            f"{_without_choice(label)}, {part}, {number} heard",
-            num_rooms,
-            _skill(label, _values(runs, part, number, _unheard)),
-        )
-        for (part, label), run in runs.items()
-        for number, seeds in run.items()
-        if number in (min(NUMS_HEARD), max(NUMS_HEARD))
-        and (num_rooms := next(iter(seeds.values())).counts.get(NUM_ROOMS)) is not None
-    ]
-    lengths = Counter(series for series, *_ in points)
-    return _drawn("rooms learned from", [point for point in points if lengths[point[0]] > 1], log_x=True)
-
-
-def _drawn(x_label: str, points: Sequence[tuple[str, float, float]], log_x: bool) -> BenchFigure | None:
-    """A figure of the points of known skill, each with its series, x and y; None without any."""
     known = tuple(BenchPoint(series=series, label="", x=x, y=y) for series, x, y in points if not isnan(y))
-    return BenchFigure(x_label=x_label, y_label=_SKILL, log_x=log_x, points=known, x_is_cost=False) if known else None
+    shown = BenchFigure(x_label="transmitters heard", y_label=_SKILL, log_x=False, points=known, x_is_cost=False)
+    return shown if known else None
 
 
 def rooms_overview(tables: Iterable[BenchRecord], page: str) -> list[str]:
