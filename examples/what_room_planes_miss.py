@@ -32,9 +32,9 @@ LEAST_AREA_M2, NEAR_M = 5.0, 0.008
 SHELL = ("wall", "partition", "floor", "ceiling")
 
 
-def true_planes(room: PasDataset) -> list[FoundPlane]:
-    """The planes across the axes that have surfaces of 5 m² or more, each with the slab of the largest."""
-    planes = dict[tuple[float, ...], tuple[float, FoundPlane]]()
+def true_planes(room: PasDataset) -> list[tuple[float, FoundPlane]]:
+    """The planes across the axes that have surfaces of 5 m² or more: area in m², and plane with the largest's slab."""
+    planes = dict[tuple[float, ...], list[tuple[float, FoundPlane]]]()
     for surface in room.scene.surface:
         corners_m = surface.corners_m - np.asarray(room.header.receiver.position_m)
         span_m, axis = np.ptp(corners_m, axis=0), int(np.ptp(corners_m, axis=0).argmin())
@@ -42,9 +42,10 @@ def true_planes(room: PasDataset) -> list[FoundPlane]:
         if surface.mirrors is False or span_m[axis] > 1e-6 or area_m2 < LEAST_AREA_M2:
             continue
         normal = np.eye(3)[axis] * np.sign(at_m)
-        key, plane = (*normal, round(abs(at_m), 3)), FoundPlane(normal, abs(at_m), room.scene.slab_of(surface), 1.0)
-        planes[key] = max(planes.get(key, (0.0, plane)), (area_m2, plane), key=lambda each: each[0])
-    return [plane for _, plane in planes.values()]
+        plane = FoundPlane(normal, abs(at_m), room.scene.slab_of(surface), 1.0)
+        planes.setdefault((*normal, round(abs(at_m), 3)), []).append((area_m2, plane))
+    largest = (max(found, key=lambda each: each[0])[1] for found in planes.values())
+    return [(sum(area for area, _ in found), plane) for found, plane in zip(planes.values(), largest, strict=True)]
 
 
 class Everywhere(HeardShares):
@@ -55,18 +56,27 @@ class Everywhere(HeardShares):
         return np.full((len(place_m), self.product.shape[1]), 0.7)
 
 
-def ssim_of_parts(room: PasDataset, seed: int, method: RoomPlanes) -> Iterator[tuple[str, float]]:
-    """Rows of the table for one room, of that seed: words and SSIM."""
-    question, true = room_question(room, seed, 64), true_planes(room)
+def _off_m(plane: FoundPlane, other: FoundPlane) -> float:
+    return abs(plane.distance_m - other.distance_m) if plane.normal @ other.normal > 0.5 else np.inf
+
+
+def parts_of(room: PasDataset, seed: int, method: RoomPlanes) -> Iterator[tuple[str, float]]:
+    """What is printed of one room, of that seed: words with a number, and words with SSIM, which begin with a dash."""
+    question, (area_m2, true) = room_question(room, seed, 64), zip(*true_planes(room), strict=True)
     asked_hz = [ghz_to_hz(each) for each in ASKED_GHZ]
     asked = question.asked[np.flatnonzero(np.isin(question.asked.carrier_hz, asked_hz))]
     other, search = method.heard(question.heard)
     found = search.planes() if search else []
-    right = [
-        each
-        for each in found
-        if any(each.normal @ one.normal > 0.5 and abs(each.distance_m - one.distance_m) < NEAR_M for one in true)
-    ]
+    off_m = np.array([[_off_m(each, one) for one in true] for each in found]).reshape(-1, len(true))
+    right = [each for each, row in zip(found, off_m < NEAR_M, strict=True) if row.any()]
+    is_found = (off_m < NEAR_M).any(axis=0)
+    yield "large planes", len(true)
+    yield "of these found", is_found.sum()
+    yield "their area, m²", sum(area_m2)
+    yield "of this found", np.array(area_m2)[is_found].sum()
+    yield "found planes that are none of these", len(found) - len(right)
+    for off in off_m[off_m < NEAR_M]:
+        yield "off, mm", 1e3 * off
 
     def ssim(maps: FloatArray) -> float:
         scores = score_all(maps, asked.pas(), asked.grid, asked.header.pas_kind)["ssim"]
@@ -78,13 +88,13 @@ def ssim_of_parts(room: PasDataset, seed: int, method: RoomPlanes) -> Iterator[t
             predictor.shares = Everywhere(**vars(predictor.shares))
         return ssim(predictor.predict(asked.tx_position_m, asked.carrier_hz))
 
-    yield "room-lags", predicted([])
-    yield "room-planes", predicted(found)
-    yield "planes found, 0.7 of each everywhere", predicted(found, is_everywhere=True)
-    yield "planes found, those that are large and true", predicted(right)
-    yield "true planes, of concrete", predicted([replace(plane, slab=Slab("concrete", 0.2)) for plane in true])
-    yield "true planes with their slabs", predicted(true)
-    yield "true planes with their slabs, 0.7 of each everywhere", predicted(true, is_everywhere=True)
+    yield "- room-lags", predicted([])
+    yield "- room-planes", predicted(found)
+    yield "- planes found, 0.7 of each everywhere", predicted(found, is_everywhere=True)
+    yield "- planes found, those that are large and true", predicted(right)
+    yield "- true planes, of concrete", predicted([replace(plane, slab=Slab("concrete", 0.2)) for plane in true])
+    yield "- true planes with their slabs", predicted([*true])
+    yield "- true planes with their slabs, 0.7 of each everywhere", predicted([*true], is_everywhere=True)
     tx_m, row = np.unique(asked.tx_position_m, axis=0, return_inverse=True)
     column = np.searchsorted(asked_hz, asked.carrier_hz)
     shell = tuple(surface for surface in room.scene.surface if surface.name.startswith(SHELL))
@@ -97,7 +107,7 @@ def ssim_of_parts(room: PasDataset, seed: int, method: RoomPlanes) -> Iterator[t
         settings = replace(room.trace_settings, max_depth=depth)
         tracer = xb.make_tracer(replace(room.scene, surface=surfaces), ASKED_GHZ, settings)
         cfr = tracer.channel(tx_m).cfr[row.ravel(), column]
-        yield words, ssim(asked.beam.maps(cfr, asked.header.pas_kind)[0])
+        yield f"- {words}", ssim(asked.beam.maps(cfr, asked.header.pas_kind)[0])
 
 
 def main(collection: Path, folder: Path, number: int) -> None:
@@ -105,14 +115,16 @@ def main(collection: Path, folder: Path, number: int) -> None:
     method, rooms = RoomPlanes.load(folder), open_collection(collection).part("validation")
     found = defaultdict[str, list[float]](list)
     for room, dataset in zip(rooms.rooms[:number], rooms, strict=False):
-        for words, value in ssim_of_parts(dataset, room.seed, method):
-            found[words].append(value)
-    start = np.array(found["room-lags"])
-    print(f"{len(start)} rooms\n\n| | SSIM | more than room-lags |\n|---|---:|---|")
-    for words, values in found.items():
-        more = np.array(values) - start
+        for words, value in parts_of(dataset, room.seed, method):
+            found[words].append(float(value))
+    off_mm = np.median(found.pop("off, mm"))
+    print("; ".join(f"{words}: {sum(found[words]):.0f}" for words in found if not words.startswith("- ")), end="; ")
+    print(f"off in the median: {off_mm:.1f} mm\n\n| {number} rooms | SSIM | more than room-lags |\n|---|---:|---|")
+    start = np.array(found["- room-lags"])
+    for words in [words for words in found if words.startswith("- ")]:
+        more = np.array(found[words]) - start
         low, high = np.quantile(np.random.default_rng(0).choice(more, (10_000, len(more))).mean(axis=1), [0.025, 0.975])
-        print(f"| {words} | {np.mean(values):.3f} | {more.mean():+.3f} [{low:+.3f}, {high:+.3f}] |")
+        print(f"| {words[2:]} | {np.mean(found[words]):.3f} | {more.mean():+.3f} [{low:+.3f}, {high:+.3f}] |")
 
 
 if __name__ == "__main__":

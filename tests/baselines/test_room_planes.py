@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,12 @@ from xfreqbench.baselines.room_lags import RoomLags, RoomLagsConfig
 from xfreqbench.baselines.room_planes.method import RoomPlanes, RoomPlanesConfig
 from xfreqbench.baselines.room_planes.search import ArrayView, FoundPlane, PlaneSearch, slabs_in
 from xfreqbench.baselines.room_planes.shares import HeardShares
-from xfreqbench.examples.what_room_planes_miss import ssim_of_parts, true_planes
+from xfreqbench.examples.what_room_planes_miss import parts_of, true_planes
 
 from tests.support.rooms import tiny_rooms
 from xfreqbench.data.collection import Collection
 from xfreqbench.data.unseen_rooms import HEARD_GHZ, room_splits
-from xfreqbench.errors import MethodError
+from xfreqbench.errors import DataError, MethodError
 from xfreqbench.maps.bartlett import BartlettBeam
 from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.maps.lags import LagFunctions
@@ -120,12 +119,16 @@ def test_it_is_room_lags_where_little_is_heard_and_the_same_when_it_is_loaded(
         np.testing.assert_array_equal(maps["planes"], maps["loaded"])
         assert np.array_equal(maps["planes"], maps["lags"]) == (split.num_heard < 32)
     (room,), (seed,) = rooms.part("test"), [each.seed for each in rooms.part("test").rooms]
-    (wall,) = true_planes(room)
+    ((area_m2, wall),) = true_planes(room)
     assert (wall.normal == (1, 0, 0)).all() and 1.5 < wall.distance_m < 4 and wall.slab == Slab("wood", 0.02)
-    parts = dict(islice(ssim_of_parts(room, seed, planes), 7))  # the rest is traced, and this room was not
-    assert len({*parts.values()}) > 3 and all(0 < value < 1 for value in parts.values())
-    best = max(parts, key=lambda words: parts[words])
-    assert best.startswith(("room-planes", "planes found", "true planes")) and parts[best] > parts["room-lags"]
+    parts = dict[str, float]()
+    with pytest.raises(DataError, match="does not say how it was traced"):  # what comes last traces the room
+        for words, value in parts_of(room, seed, planes):
+            parts[words] = value
+    assert (parts["large planes"], parts["their area, m²"]) == (1, area_m2) == (1, 30)
+    ssim = {words: value for words, value in parts.items() if words.startswith("- ")}
+    assert len({*ssim.values()}) > 3 and all(0 < value < 1 for value in ssim.values())
+    assert max(ssim, key=lambda words: ssim[words]) != "- room-lags"
 
 
 def test_it_refuses_to_adapt_before_it_has_learned(rooms: Collection) -> None:

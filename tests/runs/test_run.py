@@ -248,6 +248,14 @@ def test_without_a_budget_or_after_one_step_there_is_no_learning_curve(dataset: 
     assert run_job(lofo_job(dataset, budget=Budget(max_steps=10)), tmp_path).curve == ()
 
 
+def test_what_is_not_fitted_has_no_budget(dataset: PasDataset, tmp_path: Path) -> None:
+    methods = {"nearest": (), "mean-over-frequency": ["num_nearest=1"], f"{__name__}:Stepwise": ()}
+    found = run(dataset, methods, "lofo", tmp_path, targets_ghz=[77], budget="2steps")
+    assert [record.job.budget.max_steps for record in found] == [None, 2, 2]  # one with options is no baseline
+    with pytest.raises(XFreqBenchError, match="twelve"):
+        run(dataset, "nearest", "lofo", tmp_path, budget="twelve")
+
+
 def test_whoever_asks_is_told_of_every_step(dataset: PasDataset, tmp_path: Path) -> None:
     seen = []
     job = lofo_job(dataset, f"{__name__}:Stepwise", budget=Budget(max_steps=4))

@@ -17,10 +17,11 @@ from xfreqbench.data.unseen_rooms import RoomSplit, room_splits
 from xfreqbench.errors import MethodError
 from xfreqbench.maps.metrics import METRICS_VERSION
 from xfreqbench.methods.config import as_json
-from xfreqbench.methods.contract import ReceiverMethod, RoomMethod, parse_budget
+from xfreqbench.methods.contract import Budget, ReceiverMethod, RoomMethod, parse_budget
 from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, code_sha256
 from xfreqbench.methods.rooms import build_room_method
+from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.options import RunOptions
 from xfreqbench.runs.records import Job
@@ -124,10 +125,10 @@ def tasks_of(
     """One task for each method, seed and split, in that order of nesting; the splits are made once.
 
     `data` is the path of `opened` as the records name it. `methods` are names with `key=value` texts for their
-    options; of `options`, protocol, targets, rows to score, seeds and budget are used. Raises `UnknownNameError`,
-    `ProtocolError` and `MethodError`.
+    options; of `options`, protocol, targets, rows to score, seeds and budget are used. Trivial predictors, which are
+    not fitted, have no budget. Raises `UnknownNameError`, `ProtocolError` and `MethodError`.
     """
-    budget = parse_budget(options.budget)
+    asked = parse_budget(options.budget)
     if isinstance(opened, Collection):
         splits: Sequence[Split | RoomSplit] = room_splits(opened, options.protocol, options.on)
         link: tuple[str | None, ...] = ()
@@ -136,6 +137,7 @@ def tasks_of(
     tasks = list[Task]()
     for name, overrides in methods:
         alike = list[Task]()
+        budget = Budget() if name in EVERY_TRIVIAL and not overrides else asked
         for seed in options.seeds:
             for split in splits:
                 job = Job(data, name, split.protocol, split.name, overrides, seed, budget, *link)
