@@ -249,6 +249,7 @@ def rooms_overview(tables: Iterable[BenchRecord], page: str) -> list[str]:
         baseline = [row for row in of_board if row[0] in EVERY_TRIVIAL][:1] if protocol == ROOMS else []
         rows += [[row[0] + told, *(cell.partition(", ")[0] for cell in row[2:])] for row in learned + baseline]
     columns = [column for column in found[ROOMS].columns if column != "rooms"]
-    caption = f"Median SSIM by the transmitters heard of a room that was never seen. [More]({page})"
-    picture = f"\n\n![{_SKILL}]({page.rpartition('/')[0]}/{bench_figure(found[ROOMS])})" if found[ROOMS].figure else ""
-    return [f"## Unseen rooms\n\n{caption}\n\n{table(columns, rows, prose)}{picture}"]
+    caption = f"Median SSIM by the transmitters heard of a room that was never seen. [More]({page})."
+    if found[ROOMS].figure:
+        caption += f" ![{_SKILL}]({page.rpartition('/')[0]}/{bench_figure(found[ROOMS])})"
+    return [f"## Unseen rooms\n\n{caption}\n\n{table(columns, rows, prose)}"]
