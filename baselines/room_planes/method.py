@@ -68,7 +68,7 @@ class RoomPlanes(RoomLags):
         return WithPlanes(predictor, search, planes) if search and planes else predictor
 
     def heard(self, heard: PasDataset) -> tuple[RoomLagsPredictor, PlaneSearch | None]:
-        """The predictor of `room-lags`, and the search for planes where it promises something."""
+        """The predictor of `room-lags`, and the search for planes where enough is in sight and antennas are upright."""
         position_m, sums = heard_sums(heard)
         predictor, receiver = self.adapted(heard, position_m, sums), heard.header.receiver
         pattern, polarization, turned_deg = receiver.antenna
