@@ -64,8 +64,9 @@ class RoomPlanes(RoomLags):
     def adapt(self, heard: PasDataset, budget: Budget) -> RoomLagsPredictor:
         """As `RoomLags.adapt`, with the planes that are found."""
         predictor, search = self.heard(heard)
-        planes = search.planes() if search else []
-        return WithPlanes(predictor, search, planes) if search and planes else predictor
+        if search and (planes := search.planes()):
+            return WithPlanes(predictor, search, planes)
+        return predictor
 
     def heard(self, heard: PasDataset) -> tuple[RoomLagsPredictor, PlaneSearch | None]:
         """The predictor of `room-lags`, and the search for planes where enough is in sight and antennas are upright."""
@@ -107,19 +108,17 @@ class WithPlanes(RoomLagsPredictor):
     def __init__(self, other: RoomLagsPredictor, search: PlaneSearch, planes: Sequence[FoundPlane]) -> None:
         vars(self).update(vars(other))
         self.view, self.planes = search.view, list(planes)
-        tx_m, num_tx = search.tx_m, len(search.tx_m)
-        known, effect = [], []
-        for carrier in search.carrier_hz.tolist():
-            share = np.full((num_tx, len(planes)), _START)
-            known.append(other.sums(tx_m + np.asarray(self.receiver.position_m), np.full(num_tx, carrier)).detach())
-            every = self._change(tx_m, carrier, share)
-            others = [self._change(tx_m, carrier, np.where(one, 0, share)) for one in np.eye(len(planes), dtype=bool)]
-            effect.append((every - torch.stack(others)) / _START)
+        tx_m, carrier_hz = search.tx_m, search.carrier_hz
+        sample_m = np.repeat(tx_m + np.asarray(self.receiver.position_m), len(carrier_hz), axis=0)
+        known = other.sums(sample_m, np.tile(carrier_hz, len(tx_m))).detach().double().numpy()
+        share = np.full((len(tx_m), len(planes)), _START)
+        without = [self._lags(tx_m, carrier_hz, np.where(one, 0, share)) for one in np.eye(len(planes), dtype=bool)]
+        effect = (self._lags(tx_m, carrier_hz, share) - torch.stack(without)) / _START
         self.shares = HeardShares.of(
             tx_m,
             search.sums.astype(float),
-            torch.stack(known, dim=1).double().numpy(),
-            torch.stack(effect, dim=2).double().numpy(),
+            known.reshape(search.sums.shape),
+            effect.double().numpy(),
             np.tile(search.lags.weight, 2),
         )
 
@@ -128,17 +127,17 @@ class WithPlanes(RoomLagsPredictor):
         sums, offset_m = super().sums(tx_position_m, carrier_hz), tx_position_m - np.asarray(self.receiver.position_m)
         for carrier in np.unique(carrier_hz).tolist():
             here = np.flatnonzero(carrier_hz == carrier)
-            sums[here] += self._change(offset_m[here], carrier, self.shares.at(offset_m[here]))
+            share = self.shares.at(offset_m[here])
+            reflected, direct = (self._lags(offset_m[here], np.array([carrier]), each) for each in (share, 0.0))
+            sums[here] += (reflected - direct)[:, 0]
         return sums
 
-    def _change(
-        self, tx_m: Float[FloatArray, "B 3"], carrier_hz: float, share: Float[FloatArray, "B P"]
-    ) -> Float[Tensor, "B L"]:
-        """What shares of the planes change in the sums of the direct waves of transmitters, as seen from the array."""
-        reflected, direct = (
-            self.field.beams.lags_of_channels(torch.as_tensor(channels[0].astype(np.complex64)))
-            for each in (share, 0.0)
-            for channels in [self.view.channels(self.planes, tx_m, np.array([carrier_hz]), each)]
-        )
-        changed: Tensor = reflected - direct
-        return changed
+    def _lags(
+        self,
+        tx_m: Float[FloatArray, "T 3"],
+        carrier_hz: Float[FloatArray, "F"],
+        share: Float[FloatArray, "T P"] | float,
+    ) -> Float[Tensor, "T F L"]:
+        """Sums over lags of direct waves with shares of the planes, of transmitters as seen from the array."""
+        channels = self.view.channels(self.planes, tx_m, carrier_hz, share).astype(np.complex64)
+        return torch.stack([self.field.beams.lags_of_channels(each) for each in torch.as_tensor(channels)], dim=1)

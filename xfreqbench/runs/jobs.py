@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from xfreqbench.methods.contract import Budget, ReceiverMethod, RoomMethod, pars
 from xfreqbench.methods.guard import method_code
 from xfreqbench.methods.registry import build_method, code_sha256
 from xfreqbench.methods.rooms import build_room_method
-from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.options import RunOptions
 from xfreqbench.runs.records import Job
@@ -128,7 +127,7 @@ def tasks_of(
     options; of `options`, protocol, targets, rows to score, seeds and budget are used. Trivial predictors, which are
     not fitted, have no budget. Raises `UnknownNameError`, `ProtocolError` and `MethodError`.
     """
-    asked = parse_budget(options.budget)
+    budget = parse_budget(options.budget)
     if isinstance(opened, Collection):
         splits: Sequence[Split | RoomSplit] = room_splits(opened, options.protocol, options.on)
         link: tuple[str | None, ...] = ()
@@ -137,11 +136,10 @@ def tasks_of(
     tasks = list[Task]()
     for name, overrides in methods:
         alike = list[Task]()
-        budget = Budget() if name in EVERY_TRIVIAL and not overrides else asked
         for seed in options.seeds:
             for split in splits:
                 job = Job(data, name, split.protocol, split.name, overrides, seed, budget, *link)
-                alike.append(Task.of(job, opened, split))
+                alike.append(Task.of(replace(job, budget=Budget()) if job.is_trivial else job, opened, split))
                 alike[-1].__dict__["code_sha256"] = alike[0].code_sha256  # its files are read once
         tasks += alike
     return tasks

@@ -31,6 +31,7 @@ from pydantic_core import from_json
 
 from xfreqbench.errors import DataError
 from xfreqbench.methods.contract import Budget
+from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.runs.sealed import SealedModel, StoredModel
 from xfreqbench.system.arguments import only_given
 from xfreqbench.system.files import exclusive, read_bytes, require_regular, require_text, storage_errors
@@ -171,6 +172,11 @@ class Job:
     def __post_init__(self) -> None:
         for text in (self.dataset, self.method, *self.overrides):
             require_text(text)
+
+    @property
+    def is_trivial(self) -> bool:
+        """Whether the method is a trivial predictor without options, which is not fitted."""
+        return self.method in EVERY_TRIVIAL and not self.overrides
 
 
 class Summary(StoredModel):

@@ -22,7 +22,7 @@ from xfreqbench.data.splits import VALIDATIONS, protocols
 from xfreqbench.errors import DataError
 from xfreqbench.maps.metrics import quantiles, skill
 from xfreqbench.methods.contract import BUDGETS, Budget
-from xfreqbench.methods.trivial import EVERY_TRIVIAL, NEEDED_TRIVIAL
+from xfreqbench.methods.trivial import NEEDED_TRIVIAL
 from xfreqbench.runs.records import NUM_QUANTILES, Job, RunRecord
 from xfreqbench.types import FloatArray
 
@@ -409,7 +409,7 @@ def _lane_of(record: RunRecord) -> str:
 
 def _is_trivial(record: RunRecord) -> bool:
     """Whether a record is of a trivial predictor without options that was run here."""
-    return record.job.method in EVERY_TRIVIAL and not record.job.overrides and record.external is None
+    return record.job.is_trivial and record.external is None
 
 
 def budget_text(budget: Budget) -> str:

@@ -211,16 +211,14 @@ def _seconds(run: dict[int, _Seeds]) -> list[str]:
     """Cells of the number of seeds, and of their means: the seconds for a new room where most is heard and of the fit
     across rooms, and how many rooms it saw."""
     records = run[max(run)].values()
-    room_s, fit_s = (
-        mean(each.counts[ROOM_SECONDS] for each in records),
-        mean(each.fit_seconds or 0.0 for each in records),
-    )
+    room_s = mean(each.counts[ROOM_SECONDS] for each in records)
+    fit_s = mean(each.fit_seconds or 0.0 for each in records)
     num_rooms = next(iter(records)).counts.get(NUM_ROOMS)
     return [f"{len(records)}", f"{room_s:.2f}", f"{fit_s:.0f}", f"{num_rooms:,.0f}" if num_rooms else ABSENT]
 
 
 def _figure(runs: _Runs) -> BenchFigure | None:
-    """The skill of methods as they are, or if all have options of these, by the number of transmitters heard."""
+    """Skill by the number of transmitters heard: of methods without options, or of all where each has some."""
     rows = [row for row in runs if row[1] not in EVERY_TRIVIAL]
     points = [
         (f"{label}, {part}", float(number), _skill(label, _values(runs, part, number, _unheard)))
@@ -228,8 +226,9 @@ def _figure(runs: _Runs) -> BenchFigure | None:
         for number in sorted(runs[part, label])
     ]
     known = tuple(BenchPoint(series=series, label="", x=x, y=y) for series, x, y in points if not isnan(y))
-    shown = BenchFigure(x_label="transmitters heard", y_label=_SKILL, log_x=False, points=known, x_is_cost=False)
-    return shown if known else None
+    if not known:
+        return None
+    return BenchFigure(x_label="transmitters heard", y_label=_SKILL, log_x=False, points=known, x_is_cost=False)
 
 
 def rooms_overview(tables: Iterable[BenchRecord], page: str) -> list[str]:
