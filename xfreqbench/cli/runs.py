@@ -179,7 +179,7 @@ def benchmark(
     preset: Annotated[
         str,
         Parameter(
-            help="quick: minutes; standard: as in BENCHMARK.md; ablations: methods without each of their parts; "
+            help="quick: a short look; standard: as in BENCHMARK.md; ablations: methods without each of their parts; "
             "converged: longer fits; carrier: whether xfreq-gs gains from knowing the carrier; rooms: unseen rooms; "
             "paper: the paper's experiments; paper-lofo, paper-sparse, paper-ablation, paper-maps: one of these; "
             "paper-size: the paper's method as published; equal-terms: its method and its two reductions, with and "

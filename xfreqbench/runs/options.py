@@ -64,7 +64,7 @@ class RunOptions:
         Word,
         Doc(
             "serial: in this process; 4: as many processes here, a new one for each run; dask://host:8786: "
-            "workers of a cluster; serial if absent, and of the command 1 where a method is not of this package."
+            "workers of a cluster; serial if absent; in the command, 1 if a method is of another package."
         ),
     ] = "serial"
     progress: Annotated[
