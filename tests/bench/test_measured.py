@@ -89,6 +89,12 @@ def test_a_measurement_that_cannot_be_used_is_refused(tmp_path: Path, text: str,
         read_measurement(tmp_path / "measured.csv", RECEIVERS, None)
 
 
+def test_a_lone_receiver_has_no_name_in_what_is_said(tmp_path: Path) -> None:
+    (tmp_path / "measured.csv").write_text(table_of(["-40"] * 5))
+    with pytest.raises(DataError, match=r"holds fewer than 30 powers\.$"):
+        read_measurement(tmp_path / "measured.csv", (ReceiverArray(position_m=(1.0, 1.0, 2.5)),), None)
+
+
 def table_of(power_db: list[str]) -> str:
     return "\n".join(["x,y,z,power", *(f"{n},2,1.2,{power}" for n, power in enumerate(power_db))])
 

@@ -52,3 +52,5 @@ def test_a_number_of_plain_transmitters_is_checked_before_anything_is_traced(mon
         outcome = xfreqbench("bench", "generate", "office", "--against-plain", "--plain-tx", number)
         assert outcome.code == 2
         assert f"--plain-tx is {number}; give 2 to" in outcome.stderr
+    outcome = xfreqbench("bench", "generate", "office", "--plain-tx", "4")
+    assert "--plain-tx has no meaning without --against-plain" in outcome.stderr

@@ -189,6 +189,10 @@ def test_another_collection_is_not_written_over(drawn: Collection, tmp_path: Pat
     ):
         with pytest.raises(OutputExistsError, match=f"holds other rooms: .*{words}. Choose"):
             generate_rooms("rooms", drawn.path, rooms=3, **{**TINY, **other})
+    with pytest.raises(ArgumentError, match=r"cannot use seed=3000000000: it is 0 to 2,147,483,647"):
+        generate_rooms("rooms", tmp_path / "rooms", rooms=1, seed=3_000_000_000)
+    with pytest.raises(XFreqBenchError, match="are of one data set: give one of its files"):
+        info(drawn.path, retrace=4)
     (tmp_path / "thesis.tex").touch()
     with pytest.raises(OutputExistsError, match=r"holds 'thesis.tex' and no collection\.json"):
         generate_rooms("rooms", tmp_path, rooms=3, **TINY)

@@ -45,6 +45,16 @@ def test_maps_that_are_not_from_0_to_1_are_refused(tmp_path: Path) -> None:
         assert list(tmp_path.iterdir()) == []
 
 
+def test_what_the_header_leaves_out_is_not_taken(tmp_path: Path) -> None:
+    path, maps = tmp_path / "data.h5", SampleBlock.of_maps(np.zeros((1, 1, 90, 360), np.float32))
+    without_channels, without_maps = replace(make_header(), channels=False), make_header(1, (1.0,), maps=False)
+    with pytest.raises(DataError, match=r"By its header .* has no 'cfr'"), PasWriter(path, without_channels) as writer:
+        append_all(writer, make_header())
+    with pytest.raises(DataError, match=r"By its header .* has no 'pas'"), PasWriter(path, without_maps) as writer:
+        writer.append(transmitters(1), np.array([True]), maps)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_exception_leaves_the_former_file_and_no_other(tmp_path: Path) -> None:
     path = write_dataset(tmp_path / "data.h5").path
     before = path.read_bytes()

@@ -265,7 +265,8 @@ def test_scenarios_of_other_users_are_not_joined(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--from", "deepmimo", "--freq", "3.5"], "--set and --freq are for PNG maps"),
+        (["--from", "deepmimo", "--freq", "3.5"], "--convention, --set and --freq are for PNG maps"),
+        (["--from", "deepmimo", "--convention", "nerf2"], "--convention, --set and --freq are for PNG maps"),
         (["--pair", "t001_tx000_r000"], "give --from deepmimo too"),
         (["--elevations", "horizon"], "give --from deepmimo too"),
     ],

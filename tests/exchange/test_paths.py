@@ -86,6 +86,7 @@ def test_deepmimo_gets_the_scene_and_its_materials_at_the_carrier(scenarios: Pat
     scenario = scenarios / "wall___pane_24.25ghz"
     told = json.loads((scenario / "params.json").read_text("utf-8"))
     assert told["rt_params"]["frequency"] == 24.25e9
+    assert told["rt_params"]["max_scattering"] == told["rt_params"]["diffuse_reflections"] == 0
     assert [each["name"] for each in told["materials"].values()] == ["concrete", "glass"]
     assert told["materials"]["material_0"]["permittivity"] == pytest.approx(5.24)  # P.2040, 24.25 GHz
     assert told["materials"]["material_0"]["conductivity"] == pytest.approx(0.0462 * 24.25**0.7822)

@@ -65,9 +65,8 @@ def read_measurement(
     power_db = np.stack(powers, axis=1)[::every]
     few = np.isfinite(power_db).sum(axis=0) < 10 * NUM_NEAREST
     if few.any():
-        raise DataError(
-            f"{path} holds fewer than {10 * NUM_NEAREST} powers of receiver {receivers[few.argmax()].name}."
-        )
+        name = receivers[few.argmax()].name
+        raise DataError(f"{path} holds fewer than {10 * NUM_NEAREST} powers{f' of receiver {name}' if name else ''}.")
     return Measurement(position_m[::every], power_db)
 
 
@@ -112,9 +111,8 @@ def bench_measured(
     fitted = np.isin(cell, drawn[: 1 + np.searchsorted(num_before, max(len(position_m) // 10, NUM_NEAREST))])
     for receiver, powers in zip(scene.receivers, power_db[fitted].T, strict=True):
         if not np.isfinite(powers).any():
-            raise DataError(
-                f"No position of the tenth that is fitted has a power of {receiver.name}. Give another --seed."
-            )
+            name = receiver.name or "the receiver"
+            raise DataError(f"No position of the tenth that is fitted has a power of {name}. Give another --seed.")
     walls = np.stack(
         [_num_walls(scene, geometry, receiver, position_m, carrier_hz[0]) for receiver in scene.receivers], axis=1
     )

@@ -46,12 +46,6 @@ class Saving(NamedTuple):
     change: str
 
 
-def _saving(name: str, timed: str, off_s: float, on_s: float, num_samples: int, change: str) -> Saving:
-    """The row of a saving from the times of all samples."""
-    off_ms, on_ms = (f"{1e3 * seconds / num_samples:.2f}" for seconds in (off_s, on_s))
-    return Saving(name, timed, off_ms, on_ms, f"{off_s / on_s:.2f}", change)
-
-
 @dataclass(frozen=True)
 class Workload:
     """The work on which the generator's savings are measured; a time is that of all its samples."""
@@ -60,11 +54,6 @@ class Workload:
     tx_position_m: Float[FloatArray, "T 3"]
     carrier_hz: tuple[float, ...]
     settings: TraceSettings
-
-    @property
-    def size(self) -> str:
-        """Numbers of transmitters and carriers, in words."""
-        return f"{len(self.tx_position_m)} transmitters × {len(self.carrier_hz)} carriers"
 
     def few(self, num_tx: int, num_carriers: int) -> Workload:
         """A smaller workload: the first transmitters, and carriers spread over the band."""
@@ -82,7 +71,9 @@ class Workload:
         off_s, without = timed_s(off)
         on_s, with_it = timed_s(on)
         change, num_samples = channel_change(self.scene, with_it, without), without.shape[0] * without.shape[1]
-        return _saving(name, f"{timed}; {self.size}", off_s, on_s, num_samples, change)
+        off_ms, on_ms = (f"{1e3 * seconds / num_samples:.2f}" for seconds in (off_s, on_s))
+        size = f"{len(self.tx_position_m)} transmitters × {len(self.carrier_hz)} carriers"
+        return Saving(name, f"{timed}; {size}", off_ms, on_ms, f"{off_s / on_s:.2f}", change)
 
     def by_tracers(self, name: str, timed: str, off: ImageTracer, on: ImageTracer) -> Saving:
         """Measure the channels of two tracers, whose rays are shot beforehand."""

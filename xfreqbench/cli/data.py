@@ -180,7 +180,7 @@ def info(
             "They are of stored paths, or of 200 transmitters that are traced again."
         ),
     ] = False,
-    seed: Annotated[int, Parameter(help="Seed that draws the samples to trace again.")] = 0,
+    seed: Annotated[int, Parameter(help="Seed that draws what is traced again.")] = 0,
 ) -> None:
     """Print the contents of a data set, or of a folder of rooms, and verify every byte against its hashes.
 
@@ -197,6 +197,8 @@ def info(
     if glints < 0:
         raise XFreqBenchError(f"--glints takes 0 or more, but got {glints}.")
     if file.is_dir():
+        if retrace or glints or statistics:
+            raise XFreqBenchError("--retrace, --glints and --statistics are of one data set: give one of its files.")
         collection = open_collection(file)
         say(collection.description)
         collection.verify()

@@ -68,8 +68,8 @@ def import_(
         freq.txt; or a scenario of DeepMIMO v4, or a folder of scenarios at several carriers.
     """
     if from_ == "deepmimo":
-        if freq is not None or set_:
-            raise XFreqBenchError("--set and --freq are for PNG maps; leave them out with --from deepmimo.")
+        if freq is not None or set_ or convention != "wideband3dgs":
+            raise XFreqBenchError("--convention, --set and --freq are for PNG maps; leave them out for DeepMIMO.")
         from xfreqbench.exchange.deepmimo_import import import_deepmimo
 
         with progress_bars("users", ["importing"], quiet) as (progress,):

@@ -60,8 +60,9 @@ def bench_generate(
     """Print the error of generated maps against run time, relative to the stored reference."""
     from xfreqbench.bench import solvers as convergence
 
-    unused = "--solvers" if against_plain and solvers != "image,sionna" else "--tx" if tx and not against_plain else ""
-    if unused:
+    of_plain = {"--tx": tx is not None, "--plain-tx": plain_tx != 12}
+    given = {"--solvers": solvers != "image,sionna"} if against_plain else of_plain
+    for unused in (option for option, is_given in given.items() if is_given):
         raise XFreqBenchError(f"{unused} has no meaning {'with' if against_plain else 'without'} --against-plain.")
     if against_plain:
         bench = _bench("generate", output, scene, kind="plain", against_plain=True, tx=tx, plain_tx=plain_tx)

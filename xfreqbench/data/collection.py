@@ -103,8 +103,7 @@ class Collection:
         Raises `IndexError`, and `DataError` for a data set that is missing, damaged, or another than the collection's.
         """
         if isinstance(rooms, int | np.integer):
-            number = int(np.asarray(chosen_rows([int(rooms)], len(self)))[0])
-            return self._opened(self.rooms[number])
+            return self._opened(self[[int(rooms)]].rooms[0])
         numbers = np.arange(len(self))[chosen_rows(rooms, len(self))]
         return replace(self, rooms=tuple(self.rooms[number] for number in numbers))
 

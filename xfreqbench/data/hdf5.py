@@ -95,6 +95,8 @@ class SealedWriter:
 
     def append(self, name: str, rows: NDArray[Any]) -> None:
         """Write the next rows of a variable; raises `DataError` if they do not fit, and `StorageError`."""
+        if name not in self._variables:
+            raise DataError(f"By its header {self._path} has no {name!r}. Change the header, or leave that out.")
         variable, start = self._variables[name], self._num_rows[name]
         if variable.dtype == PACKED:
             rows = packed(rows)

@@ -86,8 +86,8 @@ def plan_rooms(family: str | Path | Family, options: GenerateOptions) -> RoomsPl
     usual: dict[str, Any] = {"tx": 120, "rays": 50_000, "max_depth": 4, "maps": False}
     options = replace(options, **{name: usual[name] for name in usual if getattr(options, name) is None})
     for name, least in (("rooms", 1), ("tx", 1), ("seed", 0)):
-        if not least <= getattr(options, name) < 2**31:
-            raise ArgumentError(f"generate_rooms cannot use {name}={getattr(options, name)}: it is {least} or more.")
+        if not least <= (given := getattr(options, name)) < 2**31:
+            raise ArgumentError(f"generate_rooms cannot use {name}={given}: it is {least} to {2**31 - 1:,}.")
     known = family if isinstance(family, Family) else load_family(family)
     plan = RoomsPlan(known, options)
     _, first = _planned(plan, options.seed)

@@ -303,8 +303,7 @@ def make_splits(
     if protocol == "sparse":
         inner = [split for split in splits if len(inner_carriers_hz(dataset[split.train]))]
         if not inner:
-            trainings = [list(map(ghz_to_hz, carriers_ghz)) for carriers_ghz in SPARSE_TRAINING_GHZ[1:]]
-            raise _sparse_error(dataset, trainings)
+            raise _sparse_error(dataset, list(_sparse_missing_hz(dataset))[1:])
         splits = inner
     return [_validation_split(dataset, split) for split in splits]
 

@@ -162,16 +162,14 @@ def room_splits(collection: Collection, protocol: str, on: str = "test") -> list
 
 @lru_cache(maxsize=1)
 def _require_no_room_twice(collection: Collection) -> None:
-    """Raise `ProtocolError` where two rooms of a collection have the same seed, the same data, or the same plan.
+    """Raise `ProtocolError` where two rooms of a collection, which differ in seed and data, have the same plan.
 
     Plans are compared without names and materials: rooms with walls of the same shape are the same room, even if
     surfaces differ by a few millimetres. A thousand rooms take half a minute, so the answer for a collection is kept
     for its other splits.
     """
-    seen, plans = dict[tuple[str, str], Room](), defaultdict[str, list[tuple[Room, FloatArray]]](list)
+    plans = defaultdict[str, list[tuple[Room, FloatArray]]](list)
     for room, dataset in zip(collection.rooms, collection, strict=True):
-        for what, value in (("seed", str(room.seed)), ("data", room.sha256)):
-            _require_other(collection, what, seen.setdefault((what, value), room), room)
         if plan := _plan(dataset):
             bare = replace(plan, surface=(), receiver=ReceiverArray(position_m=(0.0, 0.0, 0.0)), other_receivers=())
             spans_m = [[*surface.corners_m.min(axis=0), *surface.corners_m.max(axis=0)] for surface in plan.surface]
@@ -180,15 +178,10 @@ def _require_no_room_twice(collection: Collection) -> None:
     for alike in plans.values():
         near = KDTree([shape for _, shape in alike]).query_pairs(5e-3, p=np.inf)
         for first, second in sorted(near):
-            _require_other(collection, "plan", alike[first][0], alike[second][0])
-
-
-def _require_other(collection: Collection, what: str, first: Room, second: Room) -> None:
-    if first is not second:
-        raise ProtocolError(
-            f"Rooms {first.file} and {second.file} of {collection.path} have the same {what}, so a test room may be "
-            "trained on. Remove one of them, or generate the collection again."
-        )
+            raise ProtocolError(
+                f"Rooms {alike[first][0].file} and {alike[second][0].file} of {collection.path} have the same plan, so "
+                "a test room may be trained on. Remove one of them, or generate the collection again."
+            )
 
 
 def _plan(dataset: PasDataset) -> Scene | None:

@@ -38,7 +38,7 @@ def export_link_table(
     """
     require_own(output, lambda _: "is not written over.")
     dataset = open_dataset(path)
-    num_links, parts = prod(map(len, filter(None, dataset.file_header.link_names))), []
+    num_links, parts = prod(dataset.file_header.link_axes.values()), []
     for done, link in enumerate(links(dataset), start=1):
         parts.append(link_columns(link, transmit_power_dbm))
         progress(done, num_links)

@@ -35,6 +35,7 @@ from pydantic import ValidationError
 from xfreqbench.errors import DataError
 from xfreqbench.exchange.conventions import Convention
 from xfreqbench.maps.grid import AngularGrid
+from xfreqbench.runs.records import fault_of_fields
 from xfreqbench.scene.array import quaternion_rotation
 from xfreqbench.scene.model import ReceiverArray
 from xfreqbench.scene.tables import Table, read_table
@@ -242,9 +243,7 @@ def _read_receiver(path: Path, convention: Convention) -> ReceiverArray:
             orientation=quaternion if is_turned else None,
         )
     except ValidationError as error:
-        fault = error.errors()[0]
-        place = ".".join(map(str, fault["loc"]))
-        raise DataError(f"{path} does not describe a receiver: {place}: {fault['msg']}.") from error
+        raise DataError(f"{path} does not describe a receiver: {fault_of_fields(error)}.") from error
 
 
 def _yaml(path: Path) -> dict[Any, Any]:

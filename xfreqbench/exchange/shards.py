@@ -55,7 +55,7 @@ def export_shards(
 
     The parts of a collection are splits of their own: `train`, `validation`, `test`, `other_type`. `progress` is called
     with the number of maps that are done and of all. Raises `OutputExistsError` unless `folder` is absent or empty,
-    `XFreqBenchError` if pyarrow, which writes Parquet, is not installed, `DataError` and `StorageError`.
+    `XFreqBenchError` for a collection without rooms, `DataError` and `StorageError`.
     """
     require_empty(folder)
     write = _write_parquet if to == "datasets" else _write_tar

@@ -74,17 +74,8 @@ class CheckpointFolder:
                 remove(abandoned)
             (unfinished / _METHOD_FOLDER).mkdir(parents=True)
             method.save(unfinished / _METHOD_FOLDER)
-            state = Checkpoint(
-                task_id=self.task_id,
-                step=fit.step,
-                loss=fit.loss,
-                seconds=fit.seconds,
-                share=fit.share,
-                counts=dict(fit.counts),
-                curve=curve,
-                sha256=_sha256_by_name(unfinished / _METHOD_FOLDER),
-                processor_seconds=fit.processor_seconds,
-            )
+            hashes = _sha256_by_name(unfinished / _METHOD_FOLDER)
+            state = Checkpoint(**vars(fit), task_id=self.task_id, curve=curve, sha256=hashes)
             (unfinished / _STATE_FILE).write_bytes(state.sealed_json())
             for path in (*unfinished.rglob("*"), unfinished):
                 sync(path)

@@ -48,7 +48,6 @@ class Preset:
 def _presets(stored: dict[str, Any]) -> dict[str, Preset]:
     """The presets of `presets.toml`, by name."""
     groups = {"trivial": [*EVERY_TRIVIAL], **stored.pop("methods")}
-    trivial = tuple(_settings(["trivial"], groups))
 
     def blocks(
         methods: Sequence[str],
@@ -57,23 +56,21 @@ def _presets(stored: dict[str, Any]) -> dict[str, Preset]:
         budget: str | None = None,
         seeds: int = 1,
         targets_ghz: Any = None,
-        trivial_too: bool = False,
+        trivial: bool = False,
     ) -> Iterator[Block]:
         settings = tuple(_settings(methods, groups))
         targets = tuple(targets_ghz) if isinstance(targets_ghz, list) else targets_ghz
         for scene in scenes:
             for protocol in protocols:
                 asked: dict[str, Any] = {"scene": scene, "protocol": protocol, "targets_ghz": targets}
-                if trivial_too:
-                    yield Block(settings=trivial, budget=None, **asked)
+                if trivial:
+                    yield Block(settings=tuple(_settings(["trivial"], groups)), budget=None, **asked)
                 yield Block(settings=settings, budget=budget, seeds=range(seeds), **asked)
 
     presets = {}
     for name, preset in stored.items():
-        made = [
-            block for each in preset.pop("blocks") for block in blocks(trivial_too=each.pop("trivial", False), **each)
-        ]
-        presets[name] = Preset(blocks=tuple(made), **{**preset, "benches": tuple(preset.get("benches", ()))})
+        made = tuple(block for each in preset.pop("blocks") for block in blocks(**each))
+        presets[name] = Preset(blocks=made, **{**preset, "benches": tuple(preset.get("benches", ()))})
     return presets
 
 

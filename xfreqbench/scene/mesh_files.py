@@ -248,13 +248,10 @@ def _obj_parts(content: bytes) -> list[_ObjPart]:
             elif keyword == "f":
                 part = parts.get((name, material)) or parts.setdefault((name, material), _ObjPart(name, material))
                 numbers = [parse_number(word.partition("/")[0], int) for word in rest.split()]
-                part.faces.append([index - 1 if index > 0 else len(vertices) + index for index in numbers])
-                if (
-                    len(numbers) < 3
-                    or 0 in numbers
-                    or not 0 <= min(part.faces[-1]) <= max(part.faces[-1]) < len(vertices)
-                ):
+                corners = [index - 1 if index > 0 else len(vertices) + index for index in numbers]
+                if len(corners) < 3 or not 0 <= min(corners) <= max(corners) < len(vertices):  # 0 is none either
                     raise ValueError("it is cut, or there is no such vertex")
+                part.faces.append(corners)
         except ValueError as error:
             raise ValueError(
                 f"line {number} is not a vertex, nor a face of three or more vertices before it"

@@ -94,10 +94,8 @@ def _numeric_libraries() -> ThreadpoolController:
 
 def reset_peak_memory() -> None:
     """Start a new measurement of peak memory, on Linux; elsewhere the peak stays that since the process began."""
-    try:
+    with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")
-    except OSError:
-        return
 
 
 def peak_memory_mib() -> float:

@@ -22,7 +22,7 @@ from xfreqbench.report.view.write import write_view
 pytestmark = needs_chromium
 
 BACKGROUND = (20, 22, 28)
-DRAWN = {"scene": [Picture("room.svg", "what is drawn", b"")]}
+DRAWN = {"scene": [Picture("what is drawn", b"")]}
 SMOOTHED = 40  # levels by which a pixel at a line's rim may differ from the line's colour
 
 

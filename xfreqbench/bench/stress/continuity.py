@@ -22,7 +22,7 @@ _STEP_M = 1e-4
 NUM_STEPS = 1000
 
 
-def jumps(scene: Scene, num_steps: int, max_depth: int = 6) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def jumps(scene: Scene, num_steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """How far the channel jumps along random steps of a transmitter (T, F), and where they begin, in metres (T, 3).
 
     A jump is what is left of the channel's change where each path has turned by the change of its length. It is
@@ -30,9 +30,7 @@ def jumps(scene: Scene, num_steps: int, max_depth: int = 6) -> tuple[NDArray[np.
     """
     scene = replace(scene, receiver=replace(scene.receiver, rows=1, cols=1))
     geometry = Geometry.of(scene)
-    settings = TraceSettings(
-        solver="image", interactions=("specular", "refraction", "diffraction"), max_depth=max_depth
-    )
+    settings = TraceSettings(solver="image", interactions=("specular", "refraction", "diffraction"))
     tracer = ImageTracer(scene, [ghz_to_hz(ghz) for ghz in _CARRIERS_GHZ], settings, geometry=geometry)
     random, receiver_m = np.random.default_rng(0), np.array(scene.receiver.position_m)
     places_m = place_transmitters(scene, geometry.meshes).tx_position_m

@@ -45,7 +45,6 @@ _LONG_LIMITS: dict[Backend, float] = {"torch": _NUM_FACTORS * 1.1e-16, "numba": 
 FOOTPRINTS = Area("footprints")
 _SUPPORT = 9.0
 _TURNS_DEG = (0.0, 30.0, 100.0)
-_BACKENDS: tuple[Backend, ...] = ("torch", "numba")
 _GRID = AngularGrid.hemisphere()
 _SEAM_DEG = [(0.0, 10.0), (359.9999, 20.0), (-1e-7, 30.0), (180.0, 5.0), (360.0, 0.0)]
 _PLACES_AND_SIZES_DEG = {  # centres (azimuth, elevation) and deviations along the axes
@@ -187,7 +186,7 @@ def _misplaced_pairs(centre_deg: list[tuple[float, float]], deviation_deg: list[
     angles, size, turn = (torch.tensor(values, dtype=torch.float64).deg2rad() for values in zip(*chosen, strict=True))
     axes = torch.stack([turn.cos(), -turn.sin(), turn.sin(), turn.cos()], -1).reshape(-1, 2, 2)
     projection = _projection(angles, axes @ torch.diag_embed(size**2) @ axes.mT)
-    return float(sum(_misplaced(projection, backend) for backend in _BACKENDS))
+    return float(sum(_misplaced(projection, backend) for backend in _LONG_LIMITS))
 
 
 def _projection(centre_rad: Tensor, covariances: Tensor) -> Projection:

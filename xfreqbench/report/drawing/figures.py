@@ -22,7 +22,7 @@ from xfreqbench.maps.grid import AngularGrid
 from xfreqbench.report.drawing.markdown import plain
 from xfreqbench.report.drawing.templates import SOFTWARE
 from xfreqbench.system.files import atomic_path, require_own, storage_errors
-from xfreqbench.types import FloatArray, NDArray
+from xfreqbench.types import NDArray
 
 FIGURE_KINDS = ("png", "svg", "pdf")
 
@@ -34,23 +34,6 @@ def plain_style() -> Iterator[None]:
         mpl.rcdefaults()
         mpl.rcParams["text.parse_math"] = False  # a dollar in a method's name begins no formula
         yield
-
-
-def plan_and_elevation(
-    low_m: Float[FloatArray, "3"], high_m: Float[FloatArray, "3"], width_in: float
-) -> tuple[Figure, list[tuple[Any, list[int]]]]:
-    """A figure with a plan above an elevation of a box in world axes, each with the two axes of the world it shows."""
-    spans = high_m - low_m
-    views = {"plan": [0, 1], "elevation": [0, 2]}  # world axes to the right and upwards
-    heights = [float(spans[up]) for _, up in views.values()]
-    height_in = float(np.clip(0.8 * width_in * sum(heights) / spans[0] + 2, 5, 16))
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    axes = figure.subplots(len(views), 1, height_ratios=heights)
-    for axis, (title, (right, up)) in zip(axes, views.items(), strict=True):
-        axis.set(xlim=(low_m[right], high_m[right]), ylim=(low_m[up], high_m[up]), aspect="equal")
-        axis.set(xlabel=f"{'xyz'[right]} (m)", ylabel=f"{'xyz'[up]} (m)")
-        axis.set_title(title, fontsize="medium")
-    return figure, list(zip(axes, views.values(), strict=True))
 
 
 def panels(figure: Any, number: int, columns: int, **more: Any) -> list[Any]:

@@ -19,26 +19,19 @@
   camera.up.set(0, 0, 1);
   const lamp = new THREE.DirectionalLight("white", 0.7);
   scene.add(new THREE.AmbientLight("white", 0.5), lamp);
-  const layers = {};  // what is drawn, by the name of the box that hides it
-  const add = (layer, ...shapes) => {
-    scene.add(...shapes);
-    (layers[layer] ??= []).push(...shapes);
-  };
 
-  for (const {colour, points, triangles, layer, opacity = 0.16} of room.surfaces) {
+  for (const {colour, points, triangles} of room.surfaces) {
     let corner = 0;
     const corners = triangles.map((step) => corner += step);
     const geometry = new THREE.BufferGeometry().setFromPoints(vectors(points)).setIndex(corners);
     const faces = new THREE.MeshPhongMaterial({
-      color: colour, opacity, transparent: true, depthWrite: false, side: THREE.DoubleSide, flatShading: true});
+      color: colour, opacity: 0.16, transparent: true, depthWrite: false, side: THREE.DoubleSide, flatShading: true});
     const lines = new THREE.LineBasicMaterial({color: colour, opacity: 0.7, transparent: true, depthWrite: false});
     const edges = new THREE.LineSegments(new THREE.EdgesGeometry(geometry, 30), lines);
-    add(layer, new THREE.Mesh(geometry, faces), edges);
+    scene.add(new THREE.Mesh(geometry, faces), edges);
   }
   const bounds = new THREE.Box3().setFromObject(scene);
-  for (const {points, far} of [...room.groups, ...room.rays]) {
-    if (!far) vectors(points).forEach((point) => bounds.expandByPoint(point));
-  }
+  for (const {points} of [...room.groups, ...room.rays]) vectors(points).forEach((point) => bounds.expandByPoint(point));
   bounds.expandByPoint(vectors(room.receiver)[0]);
   const size = bounds.getSize(new THREE.Vector3()).length() || 1, middle = bounds.getCenter(new THREE.Vector3());
   const towards = (turn, tilt) =>
@@ -61,10 +54,10 @@
   // metres, in the middle of the room as it is first seen
   const pixel = 2 * Math.tan(camera.fov * Math.PI / 360) * start.distance / canvas.clientHeight;
 
-  for (const {colour, points, layer, size: pixels = 1.3} of room.groups) {
+  for (const {colour, points} of room.groups) {
     const geometry = new THREE.BufferGeometry().setFromPoints(vectors(points));
-    const width = pixels * pixel / Math.tan(camera.fov * Math.PI / 360);  // points do not know the field of view
-    add(layer, new THREE.Points(geometry, new THREE.PointsMaterial({color: colour, size: width})));
+    const width = 1.3 * pixel / Math.tan(camera.fov * Math.PI / 360);  // points do not know the field of view
+    scene.add(new THREE.Points(geometry, new THREE.PointsMaterial({color: colour, size: width})));
   }
   // What follows is drawn over the surfaces, each shape over the one before it; weak rays come first.
   let drawn = 0;
@@ -117,13 +110,6 @@
     eye = {turn: eye.turn + turn, tilt: eye.tilt + tilt, distance: eye.distance / nearer};
     asked ||= requestAnimationFrame(draw);
   };
-
-  for (const box of figure.querySelectorAll("input")) {
-    box.addEventListener("change", () => {
-      for (const shape of layers[box.name] ?? []) shape.visible = box.checked;
-      asked ||= requestAnimationFrame(draw);
-    });
-  }
 
   const held = new Map();  // pointers that are down: their places
   const spread = () => {

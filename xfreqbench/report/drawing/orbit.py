@@ -20,10 +20,8 @@ BORESIGHT_M = 0.5  # drawn, in figures and models too
 def packed(scene: Mapping[str, Any]) -> str:
     """A scene as JSON, compressed by gzip, in base64; equal scenes give equal text.
 
-    `surfaces` are those of `one_surface`, `labels` those of `one_label`. `groups` are points and `rays` lines, each a
-    `colour` as `#rrggbb` and the `points` of `millimetres`, as are `transmitter`, `receiver` and `boresight`. What has
-    a `layer` can be hidden by the page's box of that name; points have a `size` in pixels, and those that are `far` do
-    not count where the view is chosen.
+    `surfaces` are those of `one_surface`, `labels` a `text` and where it is shown, `at`. `groups` are points and `rays`
+    lines, each a `colour` as `#rrggbb` and the `points` of `millimetres`, as are all places.
     """
     content = json.dumps(scene, separators=(",", ":")).encode()
     return b64encode(gzip.compress(content, mtime=0)).decode()
@@ -38,23 +36,14 @@ def millimetres(points_m: Float[FloatArray, "... 3"]) -> list[int]:
     return np.diff(places, axis=0, prepend=0).ravel().tolist()
 
 
-def one_label(text: str, point_m: Float[FloatArray, "3"]) -> dict[str, Any]:
-    """A text that is shown at a point."""
-    return {"text": text, "at": millimetres(point_m)}
-
-
-def one_surface(meshes: Sequence[SurfaceMesh], colour: str, **more: str | float) -> dict[str, Any]:
-    """All triangles of some meshes as one; each index of a corner is the step from the one before it.
-
-    `more` may be a `layer` and an `opacity` from 0 to 1.
-    """
+def one_surface(meshes: Sequence[SurfaceMesh], colour: str) -> dict[str, Any]:
+    """All triangles of some meshes as one; each index of a corner is the step from the one before it."""
     first = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes)])
     corners = [mesh.triangles + start for mesh, start in zip(meshes, first, strict=False)]
     return {
         "colour": colour,
         "points": millimetres(np.concatenate([mesh.vertices_m for mesh in meshes])),
         "triangles": np.diff(np.concatenate(corners).ravel(), prepend=0).tolist(),
-        **more,
     }
 
 

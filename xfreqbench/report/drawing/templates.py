@@ -8,9 +8,10 @@ from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib.resources import files
 from typing import Any
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 # The mark in our figures and models, by which they are known when they are replaced.
@@ -23,19 +24,18 @@ COLOURS = (
 )
 
 
-def render(template: str, package: str = "xfreqbench.report", **values: Any) -> str:
-    """A page as HTML from a template of a package, such as `leaderboard/page.html` of `xfreqbench.report`.
+def render(template: str, **values: Any) -> str:
+    """A page as HTML from a template of `xfreqbench.report`, such as `leaderboard/page.html`.
 
-    A template of another package may extend and import those of `xfreqbench.report`. Equal values give equal text. A
-    value that the template names and nobody gives is an error.
+    Equal values give equal text. A value that the template names and nobody gives is an error.
     """
-    return _environment(package).get_template(template).render(values)
+    return _environment().get_template(template).render(values)
 
 
 @cache
-def _environment(package: str = "xfreqbench.report") -> Environment:
+def _environment() -> Environment:
     environment = Environment(
-        loader=ChoiceLoader([PackageLoader(name, ".") for name in (package, "xfreqbench.report")]),
+        loader=PackageLoader("xfreqbench.report", "."),
         autoescape=True,
         undefined=StrictUndefined,
         keep_trailing_newline=True,
@@ -56,24 +56,20 @@ def prose(text: str) -> Markup:
 
 def _file_text(name: str) -> Markup:
     """A style sheet or script of the package, such as `drawing/page.css`, as it is."""
-    loader = _environment().loader
-    assert loader is not None
-    return Markup(loader.get_source(_environment(), name)[0])
+    return Markup((files("xfreqbench.report") / name).read_text("utf-8"))
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure: its file's name, which ends in `png` or `svg`, what it shows in words, and its bytes."""
+    """A figure: what it shows in words, and the bytes of its SVG."""
 
-    name: str
     alt: str
     content: bytes
 
     @property
     def source(self) -> str:
         """The bytes as a `data:` address."""
-        media = {"png": "image/png", "svg": "image/svg+xml"}[self.name.rpartition(".")[2]]
-        return f"data:{media};base64,{b64encode(self.content).decode()}"
+        return f"data:image/svg+xml;base64,{b64encode(self.content).decode()}"
 
 
 @dataclass(frozen=True)
@@ -86,10 +82,8 @@ class PageTable:
     @property
     def is_numeric(self) -> list[bool]:
         """For every column, whether each of its cells begins as a number does; False in a table without rows."""
-        columns = list(zip(*self.rows, strict=True))
-        if not columns:
-            return [False] * len(self.header)
-        return [all(text[:1] in "-−–+0123456789" for text in column) for column in columns]
+        places = range(len(self.header))
+        return [bool(self.rows) and all(row[at][:1] in "-−–+0123456789" for row in self.rows) for at in places]
 
 
 def owner_mark(subject: str) -> Markup:

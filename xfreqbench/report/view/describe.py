@@ -24,8 +24,7 @@ def describe(path: Path) -> str:
     dataset = open_dataset(path)
     header = dataset.header
     receiver = header.receiver
-    lit = np.unique(np.flatnonzero(dataset.tables["line_of_sight"]))
-    in_sight = str(len(lit)) if header.channels else "unknown number"
+    in_sight = str(np.count_nonzero(dataset.tables["line_of_sight"])) if header.channels else "unknown number"
     num_places = len(np.unique(place_index(dataset)))
     at_places = f" at {num_places} places" if num_places < header.num_tx else ""
     links, paths = links_in_words(dataset), []

@@ -17,15 +17,8 @@ from matplotlib.lines import Line2D
 
 from xfreqbench.maps.drawing import FIXED_BLACK, FIXED_WHITE, draw_disc
 from xfreqbench.maps.grid import AngularGrid
-from xfreqbench.report.drawing.figures import (
-    figure_kind,
-    label_decades,
-    panels,
-    plain_style,
-    plan_and_elevation,
-    save_figure,
-)
-from xfreqbench.report.drawing.orbit import BORESIGHT_M
+from xfreqbench.report.drawing.figures import figure_kind, label_decades, panels, plain_style, save_figure
+from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material
 from xfreqbench.report.view.describe import CarrierSummary
 from xfreqbench.report.view.plan import RAY_RANGE_DB, ShownRoom
 from xfreqbench.scene.facets import planar_facets
@@ -64,17 +57,21 @@ def plot_room(room: ShownRoom, path: Path) -> None:
     """
     kind = figure_kind(path)
     width_in = 5.2 if kind == "svg" else 9.0  # pages show the narrow one, whose text is read on a phone too
-    figure, views = plan_and_elevation(*bounds_m(room), width_in)
-    for axis, shown in views:
-        _draw_view(axis, room, shown)
+    low_m, high_m = bounds_m(room)
+    heights = (high_m - low_m)[1:].tolist()
+    height_in = float(np.clip(0.8 * width_in * sum(heights) / (high_m - low_m)[0] + 2, 5, 16))
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    axes = figure.subplots(2, 1, height_ratios=heights)
+    for axis, title, up in zip(axes, ("plan", "elevation"), (1, 2), strict=True):
+        axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[up], high_m[up]), xlabel="x (m)", ylabel=f"{'xyz'[up]} (m)")
+        axis.set_aspect("equal")
+        axis.set_title(title, fontsize="medium")
+        _draw_view(axis, room, [0, up])
     if room.rays:
         scale = ScalarMappable(_RAY_SCALE, _RAY_COLOURS)
-        figure.colorbar(
-            scale, ax=[axis for axis, _ in views], label="power of a ray (dB below the strongest)", shrink=0.6
-        )
+        figure.colorbar(scale, ax=axes, label="power of a ray (dB below the strongest)", shrink=0.6)
     handles = _place_handles(room) + [
-        Line2D([], [], color=material_hex(name), label=name.replace("_", " "))
-        for name in sorted({str(mesh.material) for mesh in room.meshes})
+        Line2D([], [], color=material_hex(name), label=name.replace("_", " ")) for name in by_material(room.meshes)
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4 if kind == "png" else 2, fontsize="small")
     save_figure(figure, path, kind)

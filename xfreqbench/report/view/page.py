@@ -6,12 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from xfreqbench.data.dataset import PasDataset
 from xfreqbench.data.splits import HELD_OUT_RECEIVER, PROTOCOLS, Split, make_splits
 from xfreqbench.errors import ProtocolError
 from xfreqbench.report.drawing.markdown import ABSENT, number
-from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_label, one_surface, packed
+from xfreqbench.report.drawing.orbit import BORESIGHT_M, by_material, millimetres, one_surface, packed
 from xfreqbench.report.drawing.templates import PageTable, Picture, owner_mark, render
 from xfreqbench.report.view.describe import CarrierSummary, links_in_words
 from xfreqbench.report.view.figures import NUMBERED_RAYS, Rgba, group_colour, point_along, ray_colour
@@ -19,6 +20,7 @@ from xfreqbench.report.view.plan import MAX_RAYS, RAY_RANGE_DB, ShownRoom, ViewP
 from xfreqbench.scene.glb_writer import material_hex
 from xfreqbench.scene.materials import complex_permittivity, conductivity_s_m, material_bands
 from xfreqbench.scene.meshes import slabs_of
+from xfreqbench.types import FloatArray
 from xfreqbench.units import format_ghz, format_ghz_list
 
 
@@ -97,24 +99,24 @@ def orbit_scene(room: ShownRoom) -> dict[str, Any]:
         "transmitter": millimetres(room.tx_m),
         "receiver": millimetres(room.receiver_m),
         "boresight": millimetres(np.stack([room.receiver_m, ahead_m])),
-        "labels": [*_labels(room)],
+        "labels": [{"text": text, "at": millimetres(at_m)} for text, at_m in _labels(room)],
     }
 
 
-def _labels(room: ShownRoom) -> Iterator[dict[str, Any]]:
-    """The lengths of the room, the numbers of its strongest rays, and both ends."""
+def _labels(room: ShownRoom) -> Iterator[tuple[str, Float[FloatArray, "3"]]]:
+    """The lengths of the room, the numbers of its strongest rays, and both ends, each at its place."""
     if room.meshes:
         corners_m = np.concatenate([mesh.vertices_m for mesh in room.meshes])
         low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
         for axis, (name, length_m) in enumerate(zip("xyz", high_m - low_m, strict=True)):
             middle_m = np.array([low_m[0] if name == "x" else high_m[0], low_m[1], low_m[2]])
             middle_m[axis] += length_m / 2
-            yield one_label(f"{name}: {length_m:.3g} m", middle_m)
+            yield f"{name}: {length_m:.3g} m", middle_m
     numbered = sorted(room.rays, key=lambda ray: -ray.level_db)[:NUMBERED_RAYS]
     for place, ray in enumerate(numbered, start=1):
-        yield one_label(str(place), point_along(ray.points_m, place / (len(numbered) + 1)))
-    yield one_label("receiver", room.receiver_m)
-    yield one_label(f"transmitter {room.tx}", room.tx_m)
+        yield str(place), point_along(ray.points_m, place / (len(numbered) + 1))
+    yield "receiver", room.receiver_m
+    yield f"transmitter {room.tx}", room.tx_m
 
 
 def _hex(colour: Rgba) -> str:

@@ -125,8 +125,7 @@ class ViewPlan:
         carriers_hz = self.header.carrier_hz.tolist() if self.dataset else [self.carrier_hz]
         paths = tracer_of(self.scene, carriers_hz, self.settings, Geometry(room.meshes)).paths(room.tx_m)
         index = carriers_hz.index(self.carrier_hz)
-        rays = _strongest_rays(paths, index, room.tx_m, room.receiver_m, room.meshes)
-        return replace(self, room=replace(room, rays=rays))
+        return replace(self, room=replace(room, rays=_strongest_rays(paths, index, room)))
 
 
 def plan_view(data_or_scene: str, tx: int | None = None, carrier_ghz: float | None = None) -> ViewPlan:
@@ -207,13 +206,7 @@ def _chosen_hz(carrier_ghz: float | None, carriers_hz: Sequence[float]) -> float
         raise XFreqBenchError(f"--carrier cannot use {carrier_ghz:g}: {error}.") from error
 
 
-def _strongest_rays(
-    paths: Paths,
-    carrier_index: int,
-    tx_m: Float[FloatArray, "3"],
-    receiver_m: Float[FloatArray, "3"],
-    meshes: Sequence[SurfaceMesh],
-) -> list[Ray]:
+def _strongest_rays(paths: Paths, carrier_index: int, room: ShownRoom) -> list[Ray]:
     """At most `MAX_RAYS` paths within `RAY_RANGE_DB` of the strongest one at a carrier, the strongest first."""
     power = np.abs(paths.gain[carrier_index]) ** 2
     if not power.any():
@@ -226,10 +219,10 @@ def _strongest_rays(
         codes, surfaces = (each[index][met].tolist() for each in (paths.interactions, paths.surfaces))
         rays.append(
             Ray(
-                points_m=np.vstack([tx_m, paths.vertices_m[index][met], receiver_m]),
+                points_m=np.vstack([room.tx_m, paths.vertices_m[index][met], room.receiver_m]),
                 level_db=10 * float(np.log10(float(power[index] / power.max()))),
                 delay_s=float(paths.delay_s[index]),
-                events=tuple(f"{verbs[code]} {meshes[at].name}" for code, at in zip(codes, surfaces, strict=True)),
+                events=tuple(f"{verbs[code]} {room.meshes[at].name}" for code, at in zip(codes, surfaces, strict=True)),
             )
         )
     return rays

@@ -89,7 +89,7 @@ def _pictures(view: ViewPlan, summary: CarrierSummary | None, scratch: Path) -> 
     """The pictures of the page: narrow ones, whose paper and ink are the page's."""
 
     def picture(name: str, alt: str) -> Picture:
-        return Picture(f"{name}.svg", alt, (scratch / f"{name}.svg").read_bytes())
+        return Picture(alt, (scratch / f"{name}.svg").read_bytes())
 
     plot_room(view.room, scratch / "room.svg")
     found = {"scene": [picture("room", "Plan and elevation of the scene with receiver, transmitters and rays")]}
