@@ -51,34 +51,29 @@ def take(folders: list[Path], add: bool = False) -> None:
 def readme_table(boards: Sequence[Board]) -> str:
     """Five rows of the office, at the carriers at which `xfreq-gs-paper` was tested, and their scores in `open_office`.
 
-    They are `virtual-source`, `xfreq-gs`, the best small version of another published system, the best baseline that is
-    not trained, with their ranks among all methods, and `xfreq-gs-paper`, whose budget is that of another board.
+    They are `virtual-source`, `xfreq-gs`, `xfreq-gs-paper`, the best small version of another published system, and the
+    best baseline that is not trained, with their ranks among all methods.
     """
-    quick, converged, beside = (
-        next(board for board in boards if board.title.startswith(f"{scene} · lofo · power maps · {lane}"))
-        for scene, lane in (("office", "quick"), ("office", "converged"), ("open_office", "quick"))
+    office, beside = (
+        next(board for board in boards if board.title.startswith(f"{scene} · lofo · power maps · quick"))
+        for scene in ("office", "open_office")
     )
-    paper = next(row for row in converged.rows if (row.job.method, row.family) == ("xfreq-gs-paper", "learned"))
-    alone = Comparison.of(converged, paper)
-    plain = replace(quick, rows=tuple(row for row in quick.rows if row.family != "ablation"))
-    ranked = Comparison(plain, alone.splits)
-    shown = [
-        *((ranked, row) for row in ranked.rows if row.job.method in {"virtual-source", "xfreq-gs"}),
-        (ranked, next(row for row in ranked.rows if reduced_statement([row]))),
-        (ranked, next(row for row in ranked.rows if row.is_trivial)),
-        (alone, paper),
-    ]
-    other = Comparison(beside, alone.splits)
-    scores = columns(other, ("average", "skill"))
-    there = {row.job.method: [column.cell(row) for column in scores] for row in other.rows}
+    plain = replace(office, rows=tuple(row for row in office.rows if row.family != "ablation"))
+    named = {row.job.method: row for row in plain.rows}
+    here = Comparison.of(plain, named["xfreq-gs-paper"])
+    there = Comparison(beside, here.splits)
+    shown = {"virtual-source", "xfreq-gs", "xfreq-gs-paper"}
+    shown.add(next(row.job.method for row in here.rows if reduced_statement([row])))
+    shown.add(next(row.job.method for row in here.rows if row.is_trivial))
+    scores = columns(there, ("average", "skill"))
+    elsewhere = {row.job.method: [column.cell(row) for column in scores] for row in there.rows}
     body = []
-    for comparison, row in sorted(shown, key=lambda pair: -pair[1].average(alone.splits)):
-        every = columns(comparison, ("rank", "maps", "average", "skill", "beam_loss"))
-        rank, *others = (column.cell(row) for column in every)
-        own = [rank if comparison is ranked else ABSENT, row.job.method, *others]
-        body.append([*own, *there.get(row.job.method, [ABSENT] * len(scores))])
-    heads = ["rank", "method", "training maps", "median SSIM", "skill", "beam loss (dB)"]
-    return table([*heads, *(f"{head}, open_office" for head in ("SSIM", "skill"))], body)
+    for row in here.rows:
+        if row.job.method in shown:
+            rank, *others = (column.cell(row) for column in columns(here, ("rank", "average", "skill", "beam_loss")))
+            body.append([rank, row.job.method, *others, *elsewhere.get(row.job.method, [ABSENT] * len(scores))])
+    here_heads = ["rank", "method", "median SSIM", "skill", "beam loss (dB)"]
+    return table([*here_heads, "SSIM, open_office", "skill, open_office"], body)
 
 
 def remake(root: Path, page: Path | None = None) -> list[Path]:

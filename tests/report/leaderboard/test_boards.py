@@ -54,13 +54,17 @@ def test_an_average_over_a_split_that_was_not_run_is_unknown() -> None:
     assert math.isnan(only_row(seeded(0.9, 0)).average(SPLITS[:2]))
 
 
-def test_sets_of_splits_come_with_that_of_most_rows_first() -> None:
+def test_sets_of_splits_come_with_that_of_most_runs_first() -> None:
     trivial = [make_record("nearest", 0.8, split) for split in SPLITS]
     some = [make_record(name, 0.9, split) for name in ("ours", "theirs") for split in SPLITS[:2]]
     lone = make_record("lone", 0.9, SPLITS[2])
     (board,) = boards([*trivial, *some, lone])
     assert board.split_sets() == [SPLITS[:2], SPLITS]
     assert [row.label for row in board.rows_on(SPLITS[:2])] == ["ours", "theirs", "nearest"]
+    jobs = [Job("data.h5", "whole", "lofo", split, seed=seed) for split in SPLITS for seed in range(4)]
+    whole = [make_record("whole", 0.7, job.split, job=job, id=f"{job.split}-{job.seed}") for job in jobs]
+    (board,) = boards([*trivial, *some, *whole, lone])
+    assert board.split_sets() == [SPLITS, SPLITS[:2]], "two rows that lack a split do not take it from the others"
     (board,) = boards([lone])
     assert board.split_sets() == [SPLITS[2:]]
 

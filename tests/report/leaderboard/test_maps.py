@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,18 @@ def test_the_papers_maps_are_drawn_alike_from_predictions_and_from_the_file_besi
         assert f"](figures/{picture.name})" in text
         drawn.append(picture.read_bytes())
     assert drawn[0] == drawn[1]
+
+
+def test_two_methods_of_the_paper_on_one_board_have_figures_of_their_own(results: Path, tmp_path: Path) -> None:
+    folder = ResultsFolder(Path(shutil.copytree(results, tmp_path / "both")))
+    other = next(name for name in METHODS if name != "nearest")
+    for record in [record for record in folder.records if record.job.method == other]:
+        papers = with_job(record, method="xfreq-gs-paper").model_copy(update={"id": f"p{record.id}", "config": {}})
+        folder.predictions_path(papers.id).write_bytes(folder.predictions_path(record.id).read_bytes())
+        folder.append(papers)
+    paths = write_report(folder.path, tmp_path / "B.md", tmp_path / "all")
+    first, second = (path for path in paths if path.suffix == ".png")
+    assert first.read_bytes() != second.read_bytes()
 
 
 def test_records_without_predictions_have_no_maps_to_ship_and_no_figure(results: Path, tmp_path: Path) -> None:

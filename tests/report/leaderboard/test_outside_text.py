@@ -13,7 +13,7 @@ from markdown_it import MarkdownIt
 from tests.support.leaderboard_records import leaderboard_markdown, make_bench, make_followed, make_records, with_job
 from tests.support.stored_records import external, make_record, store
 from xfreqbench.report.leaderboard.page import write_page
-from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
+from xfreqbench.report.leaderboard.report import BEGIN, END, report_text, write_report
 from xfreqbench.runs.records import BenchFigure, BenchPoint, BenchRecord, RunRecord
 
 PARSER = MarkdownIt("commonmark").enable(["table", "strikethrough"])
@@ -80,6 +80,16 @@ class _Tags(HTMLParser):
 def test_no_text_of_a_record_is_markdown(text: str) -> None:
     markdown = leaderboard_markdown(*records_of(text))
     assert markup_of(markdown) == markup_of(leaderboard_markdown(*PLAIN))
+
+
+@pytest.mark.parametrize("text", HOSTILE[:2])
+def test_no_text_of_a_record_is_markdown_in_a_short_report(tmp_path: Path, text: str) -> None:
+    hostile, plain = (
+        report_text(store(tmp_path / name, *records_of(of)[0]), tmp_path / "all")
+        for name, of in (("hostile", text), ("plain", "plain"))
+    )
+    findings = [PARSER.render(each.partition("## Findings")[2].partition("\n## ")[0]) for each in (hostile, plain)]
+    assert _Tags(findings[0]).found == _Tags(findings[1]).found
 
 
 @pytest.mark.slow

@@ -154,6 +154,27 @@ def test_rooms_traced_by_several_programs_and_measured_maps_stand_beside_each_ot
     assert "Other truth" not in alone
 
 
+IMPORTED = {"settings": {"imported_from": "PNG layout"}}
+BASELINES = [make_record(method, 0.8, "held-out-tx", "held-out-tx", **IMPORTED) for method in NEEDED_TRIVIAL]
+FITTED = make_record("ours", 0.9, "held-out-tx", "held-out-tx", **IMPORTED)
+
+
+@pytest.mark.parametrize(
+    ("records", "said"),
+    [
+        ([make_bench()], "[measurements]"),
+        (BASELINES, "best baseline"),
+        ([FITTED], "On measured maps, at transmitters never heard (`held-out-tx`) `ours` has a skill of –"),
+        ([with_job(FITTED, overrides=("rank=2",))], "ours"),
+    ],
+    ids=["measurements alone", "baselines alone", "no baseline", "an ablation alone"],
+)
+def test_a_short_report_is_made_of_whatever_was_run(tmp_path: Path, records: list, said: str) -> None:
+    text = report_text(store(tmp_path, *records), tmp_path / "all")
+    written = (page.read_text("utf-8") for page in (tmp_path / "all").glob("*.md"))
+    assert said in "\n".join([text, *written])
+
+
 def test_a_warning_and_boards_that_others_win_are_said_in_the_same_sentence_as_the_praise(tmp_path: Path) -> None:
     records = [*of_three_seeds("virtual-source", 0.1, 1), *of_three_seeds("xfreq-gs", 0.0, 20)]
     lost = [*of_three_seeds("virtual-source", 0.0, 1), *of_three_seeds("xfreq-gs", 0.1, 20)]

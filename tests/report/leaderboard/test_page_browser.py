@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from io import BytesIO
 from itertools import product
-from math import isnan
+from math import inf, isnan
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -17,13 +17,14 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from tests.support.chromium import WIDTHS, check_screen, launched, needs_chromium, opened, set_screen
-from tests.support.leaderboard_records import with_job
+from tests.support.leaderboard_records import make_bench, with_job
 from tests.support.page_results import HOSTILE, LEARNED, METHODS, SPLITS
 from tests.support.stored_records import external, make_record, store
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.report.drawing.figures import save_figure
 from xfreqbench.report.drawing.templates import COLOURS
 from xfreqbench.report.leaderboard.page import write_page
+from xfreqbench.runs.records import BenchFigure, BenchPoint
 
 pytestmark = needs_chromium
 
@@ -242,6 +243,18 @@ def test_an_external_row_of_unknown_cost_stands_in_the_table_and_in_no_chart_of_
         assert page.locator("#pareto .point").count() == 1
         page.uncheck("#families [value=external]")
         assert shown_labels(page) == ["nearest"]
+
+
+def test_a_measured_point_that_is_not_finite_is_left_out_of_its_chart(browser, tmp_path: Path) -> None:
+    named = ("a", 1.0), ("a", 2.0), ("a", inf), ("b", inf)
+    points = [BenchPoint(series=name, label="", x=float(x), y=y) for x, (name, y) in enumerate(named)]
+    figure = BenchFigure(x_label="s", y_label="dB", log_x=False, points=tuple(points))
+    store(tmp_path, make_record("nearest", 0.8), make_bench(figure=figure))
+    with opened(browser, write_page(tmp_path, tmp_path / "page.html")) as page:
+        page.locator("#benches summary").click()
+        page.locator("#benches path[data-row=a][transform]").first.wait_for()
+        assert page.locator("#benches path[data-row=a][transform]").count() == 2
+        assert page.locator("#benches path[data-row=b]").count() == 0
 
 
 def test_what_is_shown_stands_in_the_address_and_an_address_shows_it_again(page) -> None:

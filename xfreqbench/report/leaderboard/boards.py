@@ -245,14 +245,16 @@ class Board:
         return skill(_median_ssim(record), self.best_trivial.get(record.job.split, nan))
 
     def split_sets(self) -> list[tuple[str, ...]]:
-        """The sets of splits that rows were run on, the set that most rows cover first.
+        """The sets of splits that rows were run on, that with most runs of rows that cover it first.
 
-        Averages are compared over the same set only. Sets of a single split are left out, unless there are no
-        larger ones.
+        Averages are compared over one set only. Sets of a single split are left out, unless there are no larger ones.
         """
         sets = {frozenset(row.by_split) for row in self.rows}
-        num_rows = {splits: sum(splits <= set(row.by_split) for row in self.rows) for splits in sets}
-        ordered = sorted(sets, key=lambda splits: (-num_rows[splits], -len(splits), sorted(splits)))
+
+        def num_runs(splits: frozenset[str]) -> int:
+            return sum(len(row.by_split[split]) for row in self.rows if splits <= set(row.by_split) for split in splits)
+
+        ordered = sorted(sets, key=lambda splits: (-num_runs(splits), -len(splits), sorted(splits)))
         shown = [splits for splits in ordered if len(splits) > 1] or ordered
         return [tuple(split for split in self.splits if split in splits) for splits in shown]
 

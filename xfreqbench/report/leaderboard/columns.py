@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import isinf, isnan, nan
+from math import isnan, nan
 
 from xfreqbench.data.recipe import recipe_name
 from xfreqbench.maps.metrics import METRICS
@@ -62,9 +62,7 @@ class _Column:
 
     def _number(self, value: float) -> str:
         """A number, a dash where it is unknown, ∞ where it is infinite, as the PSNR of a perfect map is."""
-        if isnan(value) or isinf(value):
-            return ABSENT if isnan(value) else "∞" if value > 0 else "-∞"
-        return f"{value:{self.form}}"
+        return ABSENT if isnan(value) else f"{value:{self.form}}".replace("inf", "∞")
 
 
 def cost_of(record: RunRecord, name: str) -> float:

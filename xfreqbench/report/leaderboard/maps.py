@@ -270,7 +270,11 @@ def gallery(
         else:
             cases[label] = [*_cases(known, record.id, pictures)]
     path = board.records[0].job.dataset
-    made = f"xfreqbench generate {board.scene} -o {path}" if "solver" in board.settings else "xfreqbench import"
+    made = (
+        f"xfreqbench generate {shlex.quote(board.scene)} -o {shlex.quote(path)}"
+        if "solver" in board.settings
+        else "xfreqbench import"
+    )
     missing = f"No pictures: {path}, {board.data_name}, is not here. `{made}` makes it." if absent else ""
     if absent and (dataset or cases):
         missing = _missing_predictions(board, absent)

@@ -9,7 +9,7 @@ from itertools import product
 
 from scipy.stats import linregress
 
-from xfreqbench.report.drawing.markdown import ABSENT, heading, number, prose, table, with_interval
+from xfreqbench.report.drawing.markdown import ABSENT, heading, literal, number, prose, table, with_interval
 from xfreqbench.report.leaderboard.boards import Board, BoardRow, published, short_name
 from xfreqbench.report.leaderboard.captions import facts, leak_statement, legend
 from xfreqbench.report.leaderboard.columns import BRIEF, columns
@@ -34,13 +34,14 @@ def overview_markdown(
     scene = main_scene(ranked)
     of_scene = [board for board in ranked if board.scene == scene]
     compared = [_first_comparison(board) for board in main_boards(ranked)]
+    first = next((each for each in compared if each.board.scene == scene), None)
     every = {**pages, "measurements": measurements_page}
     links = ", ".join(f"[{heading(name)}]({link})" for name, link in every.items())
     parts = [
         *_provenance(ranked),
         *_findings(compared, of_scene),
-        *_main_board(compared, pages, scene),
-        *_worth(next((each for each in compared if each.board.scene == scene), None)),
+        *_main_board(first, pages),
+        *_worth(first),
         *_skill_matrix(compared),
         *_other_truths(ranked),
         *rooms_overview(benches, pages.get(ROOMS, "")),
@@ -69,9 +70,8 @@ def main_boards(ranked: Sequence[Board]) -> list[Board]:
     is none of them.
     """
     by_place: dict[tuple[str, str], list[Board]] = {}
-    for board in ranked:
-        if any(row.family != "ablation" for row in board.rows):
-            by_place.setdefault((board.scene, board.protocol), []).append(board)
+    for board in _with_more_than_ablations(ranked):
+        by_place.setdefault((board.scene, board.protocol), []).append(board)
 
     def size(board: Board) -> tuple[int, int, bool]:
         runs = sum(len(row.records) for row in board.rows if row.family != "ablation")
@@ -80,17 +80,23 @@ def main_boards(ranked: Sequence[Board]) -> list[Board]:
     return [max(boards, key=size) for boards in by_place.values()]
 
 
+def _with_more_than_ablations(ranked: Sequence[Board]) -> list[Board]:
+    return [board for board in ranked if any(row.family != "ablation" for row in board.rows)]
+
+
 def _first_comparison(board: Board) -> Comparison:
-    """The rows of a board without ablations, on the splits that most of them share."""
+    """The rows of a board without ablations, on the splits of most of their runs."""
     whole = replace(board, rows=tuple(row for row in board.rows if row.family != "ablation"))
     return Comparison(whole, whole.split_sets()[0])
 
 
 def _provenance(ranked: Sequence[Board]) -> list[str]:
+    if not ranked:
+        return []
     known = facts(ranked)
     shown = [f"* {name}: {prose('; '.join(texts))}." for name, texts in known.items() if name != "Commits"]
     shown[-1] += f" Commits: {prose(', '.join(known['Commits']))}."
-    return ["\n".join(shown)] if ranked else []
+    return ["\n".join(shown)]
 
 
 def _fitted(comparison: Comparison) -> list[BoardRow]:
@@ -106,12 +112,12 @@ def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board]) -> list
     """What the records say on the five questions that everybody asks, each in a sentence with its intervals."""
     scene = of_scene[0].scene if of_scene else ""
     known = {each.board.protocol: each for each in compared if each.board.scene == scene and _fitted(each)}
-    measured = (each for each in compared if each.board.is_imported and each.board.protocol == "held-out-tx")
+    imported = {each.board.protocol: each for each in compared if each.board.is_imported and _fitted(each)}
     found = [
         *_best(known.get("lofo"), compared),
         *_elsewhere(known.get("held-out-tx"), "At transmitters that were never heard"),
         *_elsewhere(known.get("held-out-block"), "Where whole regions of the room were never heard"),
-        *_elsewhere(next(measured, None), "On measured maps, at transmitters never heard"),
+        *_elsewhere(imported.get("held-out-tx"), "On measured maps, at transmitters never heard"),
         *papers_idea(of_scene)[0],
         *_as_it_is(of_scene),
     ]
@@ -126,7 +132,7 @@ def _best(lofo: Comparison | None, compared: Sequence[Comparison]) -> Iterator[s
     competing = [each for each in compared if first.job.method in [row.job.method for row in _fitted(each)]]
     lost = [each for each in competing if _fitted(each)[0].job.method != first.job.method]
     instead = "; ".join(
-        f"`{_fitted(each)[0].short_label}` on {each.board.scene}, {each.board.protocol}" for each in lost
+        f"`{_fitted(each)[0].short_label}` on {literal(each.board.scene)}, {each.board.protocol}" for each in lost
     )
     second = f" The next, `{others[0].short_label}`, has {_skill(lofo, others[0])}." if others else ""
     at = {
@@ -137,9 +143,9 @@ def _best(lofo: Comparison | None, compared: Sequence[Comparison]) -> Iterator[s
     }
     lowest = min(at, key=lambda scene: at[scene])
     yield (
-        f"At a carrier that was never trained on (`lofo`, {lofo.board.scene}) `{first.short_label}` is best: its "
-        f"skill, the share of the best baseline's error that it removes, is {_skill(lofo, first)}"
-        + (f"; its lowest on `lofo` is {number(at[lowest], 3)}, in {lowest}" if len(at) > 1 else "")
+        f"At a carrier that was never trained on (`lofo`, {literal(lofo.board.scene)}) `{first.short_label}` is best: "
+        f"its skill, the share of the best baseline's error that it removes, is {_skill(lofo, first)}"
+        + (f"; its lowest on `lofo` is {number(at[lowest], 3)}, in {literal(lowest)}" if len(at) > 1 else "")
         + f".{second} `{first.short_label}` is first on {len(competing) - len(lost)} of the {len(competing)} "
         f"boards of known rooms on which it was run{f' (else {instead})' if lost else ''}. "
         f"{published()['caution'].get(first.job.method, '')}".rstrip()
@@ -194,9 +200,10 @@ def papers_idea(of_scene: Sequence[Board]) -> tuple[list[str], list[str]]:
     above = ", ".join(str(sum(low > 0 for low, _ in each)) for each in known)
     below = ", ".join(str(sum(high < 0 for _, high in each)) for each in known)
     finding = (
-        "`xfreq-gs` differs from `fixed-frequency-gs` in three things, and each was taken away alone. It adds to the "
-        f"median SSIM, {where}: {said}. The page of the paper's claims has {len(rows)} such rows, of other carriers "
-        f"and with our aids: in {above} of them, in the order above, the interval is above zero, in {below} below."
+        "Unblended, `xfreq-gs` differs from `fixed-frequency-gs` in three things; each was taken away alone. It adds "
+        f"to the median SSIM, {where}: {said}. The page of the paper's claims has {len(rows)} such rows, of other "
+        f"carriers and with our aids: in {above} of them, in the order above, the interval is above zero, in {below} "
+        "below."
     )
     caption = (
         "Median SSIM of `xfreq-gs` minus that without the part. *All three*: minus that of `fixed-frequency-gs`. A "
@@ -254,10 +261,15 @@ def _as_it_is(of_scene: Sequence[Board]) -> Iterator[str]:
     for (board, plain), (other, aided) in product(as_published, with_aids):
         splits = Comparison.of(board, plain, aided).splits
         if splits and board.data == other.data:
+            more = [
+                f"; on {literal(each.data_name)} {_reached(each, row, splits)}"
+                for each, row in as_published
+                if each.lane != board.lane and set(splits) <= row.by_split.keys()
+            ]
             yield (
                 "With nothing that the paper does not have (`xfreq-gs-paper`) its method reaches a median SSIM of "
-                f"{_reached(board, plain, splits)} on {_on('`lofo`', splits)}; with our aids (`xfreq-gs`) "
-                f"{_reached(other, aided, splits)}."
+                f"{_reached(board, plain, splits)} on {_on('`lofo`', splits)}{''.join(more)}. With our aids "
+                f"(`xfreq-gs`) it has {_reached(other, aided, splits)}."
             )
             return
 
@@ -269,14 +281,13 @@ def _reached(board: Board, row: BoardRow, splits: tuple[str, ...]) -> str:
     return f"{value} ({board.lane}, {number} seed{'s' * (number > 1)})"
 
 
-def _main_board(compared: Sequence[Comparison], pages: Mapping[str, str], scene: str) -> list[str]:
+def _main_board(comparison: Comparison | None, pages: Mapping[str, str]) -> list[str]:
     """The ranking of the main scene on its first protocol, without columns of splits where these are many."""
-    comparison = next((each for each in compared if each.board.scene == scene), None)
     if comparison is None:
         return []
     board = comparison.board
     title = heading(" · ".join(filter(None, (board.scene, board.protocol, board.lane_title))))
-    more = f"**{leak_statement(board)}** [The other boards]({pages[scene]})"
+    more = f"**{leak_statement(board)}** [The other boards]({pages[board.scene]})"
     every = (*BRIEF[:2], "whose", *BRIEF[2:-1], "beam_loss", "aoa_error", BRIEF[-1])
     shown = [name for name in every if name != "splits" or len(comparison.splits) <= 5]
     return [f"## {title}\n\n{more}\n\n{ranking_table(comparison, shown)}"]
@@ -304,10 +315,10 @@ def _worth(comparison: Comparison | None) -> list[str]:
         slope = linregress(ssim, values).slope
         body.append([name, f"{slope / 100:+.3f}", *(number(values[rows.index(row)], 3) for row in shown)])
     caption = (
-        "Maps of a small array are nearly one lobe, so that SSIM is high for all. *Beam loss* is what is lost when the "
-        f"beam is chosen from the predicted map. First a line through the {len(rows)} methods from .7 up, "
-        f"{comparison.board.scene}, {comparison.board.protocol}. Records have no error of absolute power, since maps "
-        "have a peak of 1."
+        "Maps of a small array are nearly one lobe, so that SSIM is high for most. *Beam loss* is what is lost when "
+        f"the beam is chosen from the predicted map. First a line through the {len(rows)} methods from .7 up, "
+        f"{literal(comparison.board.scene)}, {comparison.board.protocol}. Records have no error of absolute power, "
+        "since maps have a peak of 1."
     )
     header = ["", ".01 of SSIM more", *(row.short_label for row in shown)]
     return [f"## What .01 of SSIM is worth\n\n{caption}\n\n{table(header, body)}"]
@@ -330,14 +341,14 @@ def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
             rows.append([f"{each.board.scene}, {each.board.protocol}", *cells])
     budget = f", with the budget {next(iter(budgets))}" if len(budgets) == 1 and any(budgets) else ""
     dash = " A dash: these records have no such run." if any(ABSENT in row for row in rows) else ""
-    caption = f"Average skill on the splits that most methods share{budget}.{dash}"
+    caption = f"Average skill on the splits of most runs{budget}.{dash}"
     return [f"## Skill on every scene and protocol\n\n{caption}\n\n{table(['board', *methods], rows)}"]
 
 
 def _other_truths(ranked: Sequence[Board]) -> list[str]:
     """Rank and skill of every method on maps that others published, and where a room was traced by several programs."""
     by_place: dict[tuple[str, str, str, int], list[Board]] = {}
-    for board in ranked:
+    for board in _with_more_than_ablations(ranked):
         by_place.setdefault((board.scene, board.protocol, board.lane, board.records[0].num_test), []).append(board)
     compared = [
         _first_comparison(board)
@@ -354,8 +365,8 @@ def _other_truths(ranked: Sequence[Board]) -> list[str]:
         header.append(
             ", ".join(filter(None, [each.board.scene, each.board.protocol, each.board.settings.get("solver")]))
         )
-        best = next(row for row in each.rows if row.is_trivial)
-        baselines.append(f"{best.short_label} {number(best.average(each.splits), 3)}")
+        best = next((row for row in each.rows if row.is_trivial), None)
+        baselines.append(f"{best.short_label} {number(best.average(each.splits), 3)}" if best else ABSENT)
         rank, skill = columns(each, ("rank", "skill"))
         for cells in body:
             row = by_label.get(cells[0])

@@ -402,7 +402,8 @@ function drawMeasurements() {
 }
 
 function drawSeries(plot, figure, series, index) {
-  const points = figure.points.filter((point) => point.series === series);
+  const points = figure.points.filter(({ series: of, x, y }) => of === series && x !== null && y !== null);
+  if (!points.length) return;
   const places = curve(plot, series, points.map(({ x, y }) => [x, y]), seriesStyle(index), series);
   points.forEach((point, place) => {
     const made = marker(...places[place], series, false, seriesStyle(index));

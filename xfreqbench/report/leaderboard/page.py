@@ -57,9 +57,7 @@ def write_page(results: Results, output_html: Path, since: Path | None = None) -
         ],
         "styles": _styles(boards),
         "colours": COLOURS,
-        "benches": [
-            {"title": bench.title, **bench.figure.model_dump()} if bench.figure else None for bench in found.benches
-        ],
+        "benches": [bench.figure and bench.figure.model_dump() for bench in found.benches],
         "scales": {"power": _scale("magma"), "error": _scale("viridis")},
     }
     html = render(

@@ -53,10 +53,7 @@ class Leaderboard:
             for comparison in comparisons_of(board)
         )
 
-    __repr__ = __str__
-
-    def _repr_markdown_(self) -> str:
-        return str(self)
+    __repr__ = _repr_markdown_ = __str__
 
     def to_pandas(self) -> Any:
         """All tables as one `pandas.DataFrame`, a row for each method on each set of splits.

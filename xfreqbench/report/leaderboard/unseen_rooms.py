@@ -151,8 +151,7 @@ def _at_carriers(carriers_ghz: Sequence[float], record: RunRecord) -> list[Float
     return list(by_carrier[:, :, [known.index(ghz_to_hz(each)) for each in carriers_ghz]])
 
 
-def _unheard(record: RunRecord) -> list[FloatArray]:
-    return _at_carriers(ASKED_GHZ, record)
+_unheard = partial(_at_carriers, ASKED_GHZ)
 
 
 def _of_type(name: str, record: RunRecord) -> list[FloatArray]:
