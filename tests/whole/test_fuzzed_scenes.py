@@ -93,7 +93,7 @@ def naming(name: str, contents: st.SearchStrategy[bytes]) -> st.SearchStrategy[d
 
 PLACES = WORDS | ODD_WORDS | st.sampled_from([".", "\0", "room.xml/x", "odd.toml", "wall.ply", "~", "\n"])
 CHANGES = {  # by what is changed: the files, and how many are tried
-    "text": (texts().map(lambda text: {"odd.toml": text.encode("utf-8", "surrogateescape")}), 300),
+    "text": (texts().map(lambda text: {"odd.toml": text.encode("utf-8", "surrogateescape")}), 150),
     "Mitsuba XML": (mitsuba().map(lambda xml: {"room.xml": xml}), 120),
     "place": (PLACES.map(lambda place: {"odd.toml": toml_file({**EMPTY_SCENE, "scene": place}).encode()}), 50),
     "PLY": (ply_files().map(lambda ply: {"wall.ply": ply}), 120),
