@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from xfreqbench.report.drawing.markdown import ABSENT, table
@@ -58,9 +57,8 @@ def readme_table(boards: Sequence[Board]) -> str:
         next(board for board in boards if board.title.startswith(f"{scene} · lofo · power maps · quick"))
         for scene in ("office", "open_office")
     )
-    plain = replace(office, rows=tuple(row for row in office.rows if row.family != "ablation"))
-    named = {row.job.method: row for row in plain.rows}
-    here = Comparison.of(plain, named["xfreq-gs-paper"])
+    plain = office.without_ablations
+    here = Comparison.of(plain, next(row for row in plain.rows if row.job.method == "xfreq-gs-paper"))
     there = Comparison(beside, here.splits)
     shown = {"virtual-source", "xfreq-gs", "xfreq-gs-paper"}
     shown.add(next(row.job.method for row in here.rows if reduced_statement([row])))

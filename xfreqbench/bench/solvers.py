@@ -222,7 +222,6 @@ def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> Non
     reference = read_reference(scene)
     bench.introduce()
     base, points = TraceSettings(interactions=WITHOUT_DIFFRACTION), []
-    rungs = ladder(solvers)
     note = (
         f"{_reference_note(reference)} Defaults: depth {base.max_depth}, {base.rays:,} rays, "
         f"{' and '.join(base.named_interactions)}; a row names what it changes. Rays are shot once for all "
@@ -231,7 +230,7 @@ def bench_generate(bench: Bench, scene_name: str, solvers: Sequence[str]) -> Non
     )
     title = f"Error of the generated maps against run time, {scene_name}"
     with bench.table(title, note, _columns(reference), _versions(solvers)) as table:
-        for rung in rungs:
+        for rung in ladder(solvers):
             row = _measure(scene, rung.settings, reference, f"{rung.solver}, {rung.label}")
             table.add(*row.cells)
             points += [row.point(f"{rung.solver}, {varied}", rung.label) for varied in rung.varied]

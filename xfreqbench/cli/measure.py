@@ -62,8 +62,8 @@ def bench_generate(
 
     of_plain = {"--tx": tx is not None, "--plain-tx": plain_tx != 12}
     given = {"--solvers": solvers != "image,sionna"} if against_plain else of_plain
-    for unused in (option for option, is_given in given.items() if is_given):
-        raise XFreqBenchError(f"{unused} has no meaning {'with' if against_plain else 'without'} --against-plain.")
+    if unused := [option for option, is_given in given.items() if is_given]:
+        raise XFreqBenchError(f"{unused[0]} has no meaning {'with' if against_plain else 'without'} --against-plain.")
     if against_plain:
         bench = _bench("generate", output, scene, kind="plain", against_plain=True, tx=tx, plain_tx=plain_tx)
         convergence.bench_against_plain(bench, scene, tx, plain_tx)

@@ -176,11 +176,11 @@ def _require_no_room_twice(collection: Collection) -> None:
             shape = np.sort(np.reshape(spans_m, (-1, 6)), axis=0).ravel()  # the order of surfaces does not matter
             plans[f"{len(shape)} {bare.canonical_json}"].append((room, np.append(shape, 0.0)))
     for alike in plans.values():
-        near = KDTree([shape for _, shape in alike]).query_pairs(5e-3, p=np.inf)
-        for first, second in sorted(near):
+        if near := KDTree([shape for _, shape in alike]).query_pairs(5e-3, p=np.inf):
+            first, second = (alike[place][0].file for place in min(near))
             raise ProtocolError(
-                f"Rooms {alike[first][0].file} and {alike[second][0].file} of {collection.path} have the same plan, so "
-                "a test room may be trained on. Remove one of them, or generate the collection again."
+                f"Rooms {first} and {second} of {collection.path} have the same plan, so a test room may be trained "
+                "on. Remove one of them, or generate the collection again."
             )
 
 

@@ -132,6 +132,8 @@ def test_two_methods_of_the_paper_on_one_board_have_figures_of_their_own(results
     paths = write_report(folder.path, tmp_path / "B.md", tmp_path / "all")
     first, second = (path for path in paths if path.suffix == ".png")
     assert first.read_bytes() != second.read_bytes()
+    ours = {record.id for record in folder.records if record.job.method in ("xfreq-gs", "xfreq-gs-paper")}
+    assert ours == read_maps(ship_maps(folder.path, tmp_path / "maps.jsonl")).keys() & ours
 
 
 def test_records_without_predictions_have_no_maps_to_ship_and_no_figure(results: Path, tmp_path: Path) -> None:

@@ -210,7 +210,7 @@ def _tabulate_growth(bench: Bench, seconds: float, limit_s: float) -> None:
             ("transmitters", OURS, (10, 100, 1000, 10_000)),
             ("carriers", OURS, (1, 10, 100)),
         ):
-            totals_s, exponent = dict[int, float](), "–"
+            totals_s = dict[int, float]()
             for number in numbers:
                 size = {"triangles": TRIANGLES, "transmitters": NUM_TX, "carriers": 1, varied: number}
                 carriers_hz = tuple(np.linspace(1e9, 94e9, size["carriers"])) if size["carriers"] > 1 else CARRIERS_HZ
@@ -220,10 +220,8 @@ def _tabulate_growth(bench: Bench, seconds: float, limit_s: float) -> None:
                     table.add(varied, solver, f"{number:,}", f"over {limit_s:g} in all", *["–"] * 4)
                     break
                 totals_s[number] = result.tx_s * task.num_tx
-                exponent = "–"
-                if len(totals_s) > 1:
-                    logs = np.log(list(totals_s)), np.log(list(totals_s.values()))
-                    exponent = f"{np.polyfit(*logs, 1)[0]:.2f}"
+                logs = np.log(list(totals_s)), np.log(list(totals_s.values()))
+                exponent = f"{np.polyfit(*logs, 1)[0]:.2f}" if len(totals_s) > 1 else "–"
                 tx_ms = 1e3 * result.tx_s
                 times = f"{result.setup_s:.2f}", f"{tx_ms:.3g}", f"{tx_ms / len(task.carriers_hz):.3g}"
                 table.add(varied, solver, f"{number:,}", *times, exponent, f"{result.peak_mib:.0f}")

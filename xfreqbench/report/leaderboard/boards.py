@@ -6,7 +6,7 @@ import json
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib.resources import files
 from itertools import chain, count, groupby
@@ -243,6 +243,11 @@ class Board:
     def skill(self, record: RunRecord) -> float:
         """Skill of a record: its median SSIM against that of the best trivial predictor on the same split."""
         return skill(_median_ssim(record), self.best_trivial.get(record.job.split, nan))
+
+    @cached_property
+    def without_ablations(self) -> Board:
+        """The board with all rows but those of ablations, perhaps with none."""
+        return replace(self, rows=tuple(row for row in self.rows if row.family != "ablation"))
 
     def split_sets(self) -> list[tuple[str, ...]]:
         """The sets of splits that rows were run on, that with most runs of rows that cover it first.

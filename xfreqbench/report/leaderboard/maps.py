@@ -148,21 +148,25 @@ def _open_data(board: Board) -> PasDataset | None:
     return None
 
 
-def stored_maps(board: Board, folders: Sequence[ResultsFolder], papers: BoardRow | None) -> list[ShownMaps]:
-    """The maps of the shown split, and those of the paper's method and the same transmitters on other splits.
+def stored_maps(board: Board, folders: Sequence[ResultsFolder], papers: Sequence[BoardRow]) -> list[ShownMaps]:
+    """The maps of the shown split, and those of the paper's methods and the same transmitters on other splits.
 
     There are none where the data set or predictions are not found.
     """
     dataset = _open_data(board)
     dozen = _dozen_of(board, dataset, folders) if dataset else None
-    if dataset is None or dozen is None or papers is None:
-        return [dozen] if dozen else []
+    if dataset is None or dozen is None:
+        return []
     distance_m = np.abs(dataset.tx_position_m[:, None] - np.asarray(dozen.tx_position_m)).max(axis=2)
     is_shown = distance_m.min(axis=1) < 1e-3  # positions of shown maps are rounded
+
+    def chosen(rows: IntArray) -> IntArray:
+        return rows[is_shown[rows]]
+
     others = [
-        _maps_at(dataset, records[:1], folders, lambda rows: rows[is_shown[rows]])
-        for split, records in papers.by_split.items()
-        if split != dozen.split
+        _maps_at(dataset, [row.by_split[split][0] for row in papers if split in row.by_split], folders, chosen)
+        for split in board.splits
+        if split != dozen.split and any(split in row.by_split for row in papers)
     ]
     return [dozen, *(other for other in others if other)]
 
@@ -270,11 +274,8 @@ def gallery(
         else:
             cases[label] = [*_cases(known, record.id, pictures)]
     path = board.records[0].job.dataset
-    made = (
-        f"xfreqbench generate {shlex.quote(board.scene)} -o {shlex.quote(path)}"
-        if "solver" in board.settings
-        else "xfreqbench import"
-    )
+    words = ("generate", board.scene, "-o", path) if "solver" in board.settings else ("import",)
+    made = shlex.join(("xfreqbench", *words))
     missing = f"No pictures: {path}, {board.data_name}, is not here. `{made}` makes it." if absent else ""
     if absent and (dataset or cases):
         missing = _missing_predictions(board, absent)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import product
 
 from scipy.stats import linregress
@@ -38,7 +37,7 @@ def overview_markdown(
     every = {**pages, "measurements": measurements_page}
     links = ", ".join(f"[{heading(name)}]({link})" for name, link in every.items())
     parts = [
-        *_provenance(ranked),
+        *(_provenance(ranked) if ranked else ()),
         *_findings(compared, of_scene),
         *_main_board(first, pages),
         *_worth(first),
@@ -70,29 +69,23 @@ def main_boards(ranked: Sequence[Board]) -> list[Board]:
     is none of them.
     """
     by_place: dict[tuple[str, str], list[Board]] = {}
-    for board in _with_more_than_ablations(ranked):
-        by_place.setdefault((board.scene, board.protocol), []).append(board)
+    for board in ranked:
+        if board.without_ablations.rows:
+            by_place.setdefault((board.scene, board.protocol), []).append(board)
 
     def size(board: Board) -> tuple[int, int, bool]:
-        runs = sum(len(row.records) for row in board.rows if row.family != "ablation")
+        runs = sum(len(row.records) for row in board.without_ablations.rows)
         return runs, board.records[0].num_test, board.settings.get("solver") == "image"
 
     return [max(boards, key=size) for boards in by_place.values()]
 
 
-def _with_more_than_ablations(ranked: Sequence[Board]) -> list[Board]:
-    return [board for board in ranked if any(row.family != "ablation" for row in board.rows)]
-
-
 def _first_comparison(board: Board) -> Comparison:
     """The rows of a board without ablations, on the splits of most of their runs."""
-    whole = replace(board, rows=tuple(row for row in board.rows if row.family != "ablation"))
-    return Comparison(whole, whole.split_sets()[0])
+    return Comparison(board.without_ablations, board.without_ablations.split_sets()[0])
 
 
 def _provenance(ranked: Sequence[Board]) -> list[str]:
-    if not ranked:
-        return []
     known = facts(ranked)
     shown = [f"* {name}: {prose('; '.join(texts))}." for name, texts in known.items() if name != "Commits"]
     shown[-1] += f" Commits: {prose(', '.join(known['Commits']))}."
@@ -112,12 +105,13 @@ def _findings(compared: Sequence[Comparison], of_scene: Sequence[Board]) -> list
     """What the records say on the five questions that everybody asks, each in a sentence with its intervals."""
     scene = of_scene[0].scene if of_scene else ""
     known = {each.board.protocol: each for each in compared if each.board.scene == scene and _fitted(each)}
-    imported = {each.board.protocol: each for each in compared if each.board.is_imported and _fitted(each)}
+    imported = [each for each in compared if each.board.is_imported and _fitted(each)]
+    measured = next((each for each in imported if each.board.protocol == "held-out-tx"), None)
     found = [
         *_best(known.get("lofo"), compared),
         *_elsewhere(known.get("held-out-tx"), "At transmitters that were never heard"),
         *_elsewhere(known.get("held-out-block"), "Where whole regions of the room were never heard"),
-        *_elsewhere(imported.get("held-out-tx"), "On measured maps, at transmitters never heard"),
+        *_elsewhere(measured, "On measured maps, at transmitters never heard"),
         *papers_idea(of_scene)[0],
         *_as_it_is(of_scene),
     ]
@@ -348,8 +342,9 @@ def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
 def _other_truths(ranked: Sequence[Board]) -> list[str]:
     """Rank and skill of every method on maps that others published, and where a room was traced by several programs."""
     by_place: dict[tuple[str, str, str, int], list[Board]] = {}
-    for board in _with_more_than_ablations(ranked):
-        by_place.setdefault((board.scene, board.protocol, board.lane, board.records[0].num_test), []).append(board)
+    for board in ranked:
+        if board.without_ablations.rows:
+            by_place.setdefault((board.scene, board.protocol, board.lane, board.records[0].num_test), []).append(board)
     compared = [
         _first_comparison(board)
         for boards in by_place.values()

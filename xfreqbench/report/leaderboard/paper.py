@@ -103,8 +103,10 @@ def _ours(named: Mapping[str, Any], protocol: str, splits: Sequence[str], ranked
 
 def _most_run(named: Mapping[str, Any], protocol: str, ranked: Sequence[Board]) -> _Rows:
     """As `_ours`, of each method its first row alone."""
-    ours = _ours(named, protocol, (), ranked)
-    return list({row.job.method: (board, row) for board, row in reversed(ours)}.values())[::-1]
+    first = dict[str, tuple[Board, BoardRow]]()
+    for board, row in _ours(named, protocol, (), ranked):
+        first.setdefault(row.job.method, (board, row))
+    return list(first.values())
 
 
 def _called(board: Board, row: BoardRow, main: Board) -> str:
@@ -261,7 +263,7 @@ def ship_maps(results: Results, path: Path) -> Path:
     found = read_results(results)
     main, shown, known = main_scene(found.boards), [], set[str]()
     for board in found.boards:
-        papers = next((row for _, row in _most_run({"method": _PAPERS[-1]}, "lofo", [board])), None)
+        papers = [row for _, row in _most_run({"method": _PAPERS[-1]}, "lofo", [board])]
         for maps in stored_maps(board, found.folders, papers) if board.scene == main else ():
             new = {key: run for key, run in maps.predicted.items() if key not in known}
             known |= new.keys()
@@ -284,7 +286,7 @@ def _maps(ranked: Sequence[Board], found: RankedResults) -> tuple[list[str], dic
     parts: list[str] = []
     drawn: dict[str, Callable[[Path], None]] = {}
     for board, row in _most_run({"method": _PAPERS[-1]}, "lofo", ranked):
-        stored = stored_maps(board, found.folders, row)
+        stored = stored_maps(board, found.folders, [row])
         known = found.maps | {key: maps for maps in stored for key in maps.predicted}
         ids = {split: row.by_split[split][0].id for split in board.splits if split in row.by_split}
         of_split = {split: known[key] for split, key in ids.items() if key in known}
