@@ -173,7 +173,7 @@ def test_what_rooms_have_no_choice_of_is_refused(rooms: Collection, tmp_path: Pa
 def test_budgets_are_spent_in_each_room_or_once(rooms: Collection, tmp_path: Path) -> None:
     methods = [("xfreq-gs", ()), ("room-lags", ())]
     tasks = tasks_of(str(rooms.path), rooms, methods, RunOptions("unseen-rooms", budget="1m"))
-    assert estimate_runs(tasks, tmp_path).num_fits == (1, 1, 1, 1, 1, 0, 0, 0)  # one room is tested
+    assert 5 * 60 < estimate_runs(tasks, tmp_path).seconds < 5.5 * 60  # one room is tested, with four numbers of places
 
 
 @pytest.mark.slow

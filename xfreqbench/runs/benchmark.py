@@ -26,7 +26,7 @@ from xfreqbench.data.unseen_rooms import NUMS_HEARD, ROOM_PROTOCOLS
 from xfreqbench.errors import RunsFailedError, UnknownNameError
 from xfreqbench.methods.contract import parse_budget
 from xfreqbench.methods.registry import build_method, device_option, room_method_names
-from xfreqbench.runs.estimate import in_hours
+from xfreqbench.runs.estimate import in_hours, run_seconds
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task, tasks_of
 from xfreqbench.runs.presets import BENCHES, COSTS, PRESETS, Block, Preset, Setting
@@ -187,16 +187,11 @@ def cost(benchmark: Benchmark, num_places: int) -> str:
 def _run_seconds(block: Block, setting: Setting) -> float:
     """Estimated seconds of one run on one core."""
     budget = parse_budget(block.budget)
-    a_map = COSTS["a_map"].get(setting.method, COSTS["a_map"]["usual"])
-    if block.protocol in ROOM_PROTOCOLS:  # one fit for all splits, or a fit in every room
-        fit_s = budget.max_seconds or (budget.max_maps or 0) * a_map
-        is_across = setting.method in room_method_names()
-        return (
-            fit_s * (1 / len(_splits(block)) if is_across else _TESTED_ROOMS) + _TESTED_ROOMS * COSTS["a_tested_room"]
-        )
-    overhead = COSTS["beside_fit" if block.budget else "trivial_run"]
-    maps = budget.max_maps or (budget.max_steps or 0) * 128  # of xfreq-gs, which alone has budgets in steps there
-    return (budget.max_seconds or maps * a_map) + overhead
+    if block.protocol not in ROOM_PROTOCOLS:
+        return run_seconds(setting.method, budget)
+    is_across = setting.method in room_method_names()  # one fit for all splits, or a fit in every room
+    num_fits = 1 / len(_splits(block)) if is_across else _TESTED_ROOMS
+    return run_seconds(setting.method, budget, num_fits, _TESTED_ROOMS)
 
 
 def generate_data(

@@ -7,49 +7,41 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from xfreqbench.data.unseen_rooms import RoomSplit
+from xfreqbench.methods.contract import Budget
 from xfreqbench.methods.rooms import PerRoom
 from xfreqbench.methods.trivial import EVERY_TRIVIAL
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.jobs import Task
-from xfreqbench.runs.records import Job
+from xfreqbench.runs.presets import COSTS
 from xfreqbench.system.processes import SERIAL, require_executor
-
-OVERHEAD_S = 13.0  # what a run takes besides its fit: start, learning curve, predictions and scores
 
 
 @dataclass(frozen=True)
 class Estimate:
     """Runs that are asked for, and those of them that are left; `str` says it in a line.
 
-    `num_fits` is how often each of those spends its budget. `num_places` is the number of runs at a time, None where
-    only a cluster knows.
+    `seconds` is what these take one after the other, without `num_unknown` fits of which no time is known. `num_places`
+    is the number of runs at a time, None where only a cluster knows.
     """
 
     num_asked: int
-    left: tuple[Job, ...]
+    num_left: int
+    seconds: float = 0.0
+    num_unknown: int = 0
     num_places: int | None = 1
-    num_fits: tuple[int, ...] | None = None  # once each
-
-    @property
-    def seconds(self) -> float:
-        """The most that the runs with a budget in seconds take, one after the other; other fits may take any time."""
-        times = self.num_fits or (1,) * len(self.left)
-        limits = (0.0 if _is_trivial(job) else job.budget.max_seconds or 0.0 for job in self.left)
-        return sum(OVERHEAD_S + limit * number for limit, number in zip(limits, times, strict=True))
 
     def __str__(self) -> str:
-        num_finished, num_left = self.num_asked - len(self.left), len(self.left)
+        num_finished = self.num_asked - self.num_left
         counted = f"{self.num_asked} runs" + (f", {num_finished} of them finished before" if num_finished else "")
-        if not num_left:
+        if not self.num_left:
             return f"{counted}: nothing is left to run"
         if self.num_places is None:
-            time = f"up to {in_hours(self.seconds)} of run time, shared by the workers of the cluster"
+            time = f"about {in_hours(self.seconds)} of run time, shared by the workers of the cluster"
         else:
             at_a_time = self.num_places if self.num_places > 1 else "one"
-            time = f"up to {in_hours(self.seconds / self.num_places)}, {at_a_time} at a time"
-        unknown = sum(job.budget.max_seconds is None and not _is_trivial(job) for job in self.left)
-        rest = f"; {unknown} fits without a budget in seconds come on top" if unknown else ""
-        return f"{counted}: {num_left} to run, {time}{rest}"
+            time = f"about {in_hours(self.seconds / self.num_places)}, {at_a_time} at a time"
+        rest = f"; {self.num_unknown} fits come on top, of which no time is known" if self.num_unknown else ""
+        return f"{counted}: {self.num_left} to run, {time}{rest}"
 
 
 def estimate_runs(tasks: Sequence[Task], results_dir: Path, executor: str = SERIAL) -> Estimate:
@@ -60,22 +52,38 @@ def estimate_runs(tasks: Sequence[Task], results_dir: Path, executor: str = SERI
     require_executor(executor)
     folder = ResultsFolder(results_dir)
     left = [task for task in tasks if folder.finished(task.id) is None]
-    across, num_fits = set[str](), []
+    seconds, num_unknown, across = 0.0, 0, set[str]()
     for task in left:
-        if isinstance(task.split, RoomSplit) and isinstance(task.method, PerRoom):  # which is fitted in each room
-            num_fits.append(len(task.data.part(task.split.part)))
-        else:
-            num_fits.append(0 if task.fit_id in across else 1)
-            across.add(task.fit_id)
+        job, split = task.job, task.split
+        num_rooms = len(task.data.part(split.part)) if isinstance(split, RoomSplit) else 0
+        is_per_room = num_rooms and isinstance(task.method, PerRoom)  # which is fitted in each
+        num_fits = num_rooms if is_per_room else int(task.fit_id not in across)
+        across.add(task.fit_id)
+        num_unknown += num_fits if fit_seconds(job.method, job.budget) is None else 0
+        seconds += run_seconds(job.method, job.budget, num_fits, num_rooms)
     num_places = 1 if executor == SERIAL else int(executor) if executor.isdecimal() else None
-    return Estimate(len(tasks), tuple(task.job for task in left), num_places, tuple(num_fits))
+    return Estimate(len(tasks), len(left), seconds, num_unknown, num_places)
+
+
+def run_seconds(method: str, budget: Budget, num_fits: float = 1, num_rooms: int = 0) -> float:
+    """Seconds of one core of a run that fits so many times and scores so many rooms, or one data set without any.
+
+    A fit of which no time is known counts as none.
+    """
+    beside = COSTS["trivial_run" if method in EVERY_TRIVIAL else "beside_fit"]
+    scored = num_rooms * COSTS["a_tested_room"] if num_rooms else beside
+    return num_fits * (fit_seconds(method, budget) or 0.0) + scored
+
+
+def fit_seconds(method: str, budget: Budget) -> float | None:
+    """Seconds of one core of a fit: of its budget, or of its maps, a step taken for 128; None where none are known."""
+    if method in EVERY_TRIVIAL:
+        return 0.0
+    maps, a_map = budget.max_maps or 128 * (budget.max_steps or 0), COSTS["a_map"].get(method)
+    return budget.max_seconds or (maps * a_map if maps and a_map else None)
 
 
 def in_hours(seconds: float) -> str:
     """A time in minutes, or in hours and minutes: `7 min`, `2 h 05 min`."""
     minutes = max(1, round(seconds / 60))
     return f"{minutes // 60} h {minutes % 60:02} min" if minutes >= 60 else f"{minutes} min"
-
-
-def _is_trivial(job: Job) -> bool:
-    return job.method in EVERY_TRIVIAL

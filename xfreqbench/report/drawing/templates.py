@@ -43,7 +43,8 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"prose": prose, "quoted": shlex.quote, "literal": repr}
-    environment.globals["file_text"] = _file_text
+    # a style sheet or script of the package, such as `drawing/page.css`, as it is
+    environment.globals["file_text"] = lambda name: Markup((files("xfreqbench.report") / name).read_text("utf-8"))
     json_options = {"ensure_ascii": False, "allow_nan": False, "separators": (",", ":")}
     environment.policies["json.dumps_kwargs"] = json_options  # the filter `tojson` escapes < > & '
     return environment
@@ -52,11 +53,6 @@ def _environment() -> Environment:
 def prose(text: str) -> Markup:
     """A text, escaped, in which what stands between backticks is code."""
     return Markup(re.sub("`([^`]*)`", r"<code>\1</code>", str(escape(text))))
-
-
-def _file_text(name: str) -> Markup:
-    """A style sheet or script of the package, such as `drawing/page.css`, as it is."""
-    return Markup((files("xfreqbench.report") / name).read_text("utf-8"))
 
 
 @dataclass(frozen=True, eq=False)
