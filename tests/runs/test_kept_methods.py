@@ -45,6 +45,15 @@ def test_a_loaded_method_predicts_what_the_run_stored(dataset: PasDataset, kept:
     assert method.config.num_gaussians == 4
 
 
+def test_predictions_are_read_of_the_rows_that_are_asked_for(kept: tuple[Path, RunRecord]) -> None:
+    results, record = kept
+    every, tested = xb.load_predictions(results, record), task_of(record.job).split.test.tolist()
+    np.testing.assert_array_equal(xb.load_predictions(results, record, tested[2::-1]), every[2::-1])
+    assert xb.load_predictions(results, record, []).shape == (0, 90, 360)
+    with pytest.raises(DataError, match="holds no prediction of row -1"):
+        xb.load_predictions(results, record, [-1])
+
+
 def test_a_loaded_method_goes_on_with_its_fit(dataset: PasDataset, kept: tuple[Path, RunRecord]) -> None:
     method = xb.load_method(*kept)
     train = dataset[task_of(kept[1].job).split.train]

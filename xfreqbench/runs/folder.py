@@ -226,7 +226,7 @@ def load_predictions(
     records. Raises `DataError` where predictions are absent, damaged or another split's, or a row is not among them.
     """
     stored = ResultsFolder.holding(Path(results)).predictions(run)
-    asked = stored.rows if rows is None else np.asarray(rows)
+    asked = stored.rows if rows is None else np.asarray(rows, np.int64)
     if missing := sorted(set(asked.tolist()) - set(stored.rows.tolist())):
         raise DataError(f"{stored.path} holds no prediction of row {missing[0]}. Choose among the rows that it tested.")
     return stored.maps_of(asked, BATCH_SIZE)

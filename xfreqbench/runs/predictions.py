@@ -66,7 +66,7 @@ class Predictions:
         found: dict[int, NDArray[np.float32]] = {}
         for batch, maps in self.batches(batch_size):
             found |= {row: maps[i].copy() for i, row in enumerate(batch.tolist()) if row in wanted}
-        return np.stack([found[row] for row in rows.tolist()])
+        return np.stack([found[row] for row in rows.tolist()]) if len(rows) else maps[:0]
 
 
 def fault_of_maps(values: Num[NDArray[Any], "n E A"]) -> tuple[int, str] | None:
