@@ -35,11 +35,9 @@ class Estimate:
         counted = f"{self.num_asked} runs" + (f", {num_finished} of them finished before" if num_finished else "")
         if not self.num_left:
             return f"{counted}: nothing is left to run"
-        if self.num_places is None:
-            time = f"about {in_hours(self.seconds)} of run time, shared by the workers of the cluster"
-        else:
-            at_a_time = self.num_places if self.num_places > 1 else "one"
-            time = f"about {in_hours(self.seconds / self.num_places)}, {at_a_time} at a time"
+        places = {None: " of run time, shared by the workers of the cluster", 1: ", one at a time"}
+        at_a_time = places.get(self.num_places, f", {self.num_places} at a time")
+        time = f"about {in_hours(self.seconds / (self.num_places or 1))}{at_a_time}"
         rest = f"; {self.num_unknown} fits come on top, of which no time is known" if self.num_unknown else ""
         return f"{counted}: {self.num_left} to run, {time}{rest}"
 

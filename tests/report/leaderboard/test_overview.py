@@ -75,6 +75,16 @@ def test_the_matrix_of_skill_has_the_skill_of_each_board(written: tuple[Path, ..
     assert matrix == {"board": "office, lofo", "ours": "0.500"}
 
 
+def test_the_matrix_of_skill_leaves_out_methods_that_few_boards_have(tmp_path: Path) -> None:
+    records = [record for scene in ("office", "corridor", "hall") for record in records_of(scene)]
+    records += [with_job(record, method="rare") for record in records_of("office") if record.job.method == "ours"]
+    records = [record.model_copy(update={"id": f"run {number}"}) for number, record in enumerate(records)]
+    text = report_text(store(tmp_path, *records), tmp_path)
+    assert "\n| board" in text and "Left out, since on fewer than half of the boards: `rare`." in text
+    matrix = [row for scene in ("office", "corridor", "hall") for row in rows_of(text, f"{scene}, lofo")]
+    assert matrix and all(row.keys() == {"board", "ours"} for row in matrix)
+
+
 def test_findings_name_the_best_method_and_what_each_part_of_the_papers_idea_adds(tmp_path: Path) -> None:
     def stored(method: str, shift: float, *overrides: str) -> list[RunRecord]:
         return [

@@ -11,7 +11,7 @@ from functools import cache, cached_property
 from importlib.resources import files
 from itertools import chain, count, groupby
 from math import inf, isnan, nan
-from statistics import fmean, stdev
+from statistics import mean, stdev
 from typing import Any
 
 import numpy as np
@@ -121,7 +121,7 @@ class BoardRow:
         """Mean over splits of the mean over seeds; nan where one was not run, as means over other splits differ."""
         if not self.by_split.keys() >= set(splits):
             return nan
-        return fmean(fmean(map(quantity, self.by_split[split])) for split in splits)
+        return mean(mean(map(quantity, self.by_split[split])) for split in splits)
 
     def num_seeds(self, splits: Sequence[str]) -> tuple[int, int]:
         """The smallest and the largest number of seeds that one of the splits was run with."""
@@ -136,7 +136,7 @@ class BoardRow:
         values: dict[int, list[float]] = {}
         for record in chain.from_iterable(self.by_split.get(split, ()) for split in splits):
             values.setdefault(record.job.seed, []).append(_median_ssim(record))
-        averages = [fmean(of_seed) for of_seed in values.values() if len(of_seed) == len(splits)]
+        averages = [mean(of_seed) for of_seed in values.values() if len(of_seed) == len(splits)]
         return stdev(averages) if len(averages) > 1 else nan
 
 

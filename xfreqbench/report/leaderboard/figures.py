@@ -9,7 +9,7 @@ from itertools import product
 from math import inf, isnan, nan
 from operator import itemgetter
 from pathlib import Path
-from statistics import fmean, median
+from statistics import mean, median
 from typing import Any, TypeVar
 
 import numpy as np
@@ -39,7 +39,7 @@ def learning_curves(board: Board, splits: Sequence[str]) -> list[dict[str, Any]]
         for share, of_seeds in zip((*CURVE_SHARES, 1.0), zip(*map(_by_share, curves), strict=True), strict=True):
             known = [point for point in of_seeds if point]
             if len(known) == len(of_seeds):
-                at = {"seconds": fmean(point.seconds for point in known), "ssim": fmean(point.ssim for point in known)}
+                at = {"seconds": mean(point.seconds for point in known), "ssim": mean(point.ssim for point in known)}
                 points.append({"method": row.label, "split": split, "share": share, **at, "reached_s": reached_s})
     return points
 

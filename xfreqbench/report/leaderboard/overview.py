@@ -319,23 +319,26 @@ def _worth(comparison: Comparison | None) -> list[str]:
 
 
 def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
-    """The skill of each method on each board of rooms that were traced; trivial predictors are left out."""
+    """The skill on each board of traced rooms, of the fitted methods that stand on half of these boards or more."""
     compared = [each for each in compared if not each.board.is_imported]
     # of each method the best row, which comes last here
-    best = [{row.job.method: row for row in reversed(_fitted(comparison))} for comparison in compared]
-    methods = sorted({method for by_method in best for method in by_method})
+    every = [(each, {row.job.method: row for row in reversed(_fitted(each))}) for each in compared]
+    best = [(each, by_method) for each, by_method in every if by_method]
+    numbers = Counter(method for _, by_method in best for method in by_method)
+    methods = sorted(method for method, number in numbers.items() if 2 * number >= len(best))
     if len(compared) < 2 or not methods:
         return []
     rows = []
-    budgets = dict.fromkeys(each.board.lane_title for each, of in zip(compared, best, strict=True) if of)
-    for each, of in zip(compared, best, strict=True):
-        if of:
-            (column,) = columns(each, ("skill",))
-            cells = [column.text(of[method]) if method in of else ABSENT for method in methods]
-            rows.append([f"{each.board.scene}, {each.board.protocol}", *cells])
+    for each, by_method in best:
+        (column,) = columns(each, ("skill",))
+        cells = [column.text(by_method[method]) if method in by_method else ABSENT for method in methods]
+        rows.append([f"{each.board.scene}, {each.board.protocol}", *cells])
+    budgets = {each.board.lane_title for each, _ in best}
     budget = f", with the budget {next(iter(budgets))}" if len(budgets) == 1 and any(budgets) else ""
+    left_out = ", ".join(f"`{method}`" for method in sorted(numbers.keys() - methods))
+    left_out = f" Left out, since on fewer than half of the boards: {left_out}." if left_out else ""
     dash = " A dash: these records have no such run." if any(ABSENT in row for row in rows) else ""
-    caption = f"Average skill on the splits of most runs{budget}.{dash}"
+    caption = f"Average skill on the splits of most runs{budget}.{left_out}{dash}"
     return [f"## Skill on every scene and protocol\n\n{caption}\n\n{table(['board', *methods], rows)}"]
 
 

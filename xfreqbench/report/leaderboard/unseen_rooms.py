@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import compress, groupby
 from math import inf, isnan, nan
-from statistics import fmean
+from statistics import mean
 from typing import Any
 
 import numpy as np
@@ -210,8 +210,8 @@ def _seconds(run: dict[int, _Seeds]) -> list[str]:
     """Cells of the number of seeds, and of their means: the seconds for a new room where most is heard and of the fit
     across rooms, and how many rooms it saw."""
     records = run[max(run)].values()
-    room_s = fmean(each.counts[ROOM_SECONDS] for each in records)
-    fit_s = fmean(each.fit_seconds or 0.0 for each in records)
+    room_s = mean(each.counts[ROOM_SECONDS] for each in records)
+    fit_s = mean(each.fit_seconds or 0.0 for each in records)
     num_rooms = next(iter(records)).counts.get(NUM_ROOMS)
     return [f"{len(records)}", f"{room_s:.2f}", f"{fit_s:.0f}", f"{num_rooms:,.0f}" if num_rooms else ABSENT]
 
