@@ -21,5 +21,5 @@ rm -f .venv/kernels.h5
 kernels=$!
 .venv/bin/lint-imports --no-cache
 wait "$kernels"
-.venv/bin/python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder --durations 40 --durations-min 1 "${chosen[@]}" "$@"
+.venv/bin/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 40 --durations-min 1 "${chosen[@]}" "$@"
 wait "$types"

@@ -143,7 +143,7 @@ def test_what_may_take_more_than_ten_minutes_is_said_before_the_first_run(
     asked = {"results": tmp_path, "progress": True, "budget": "12m", **TARGET}
     xb.run(dataset, methods, **asked)  # type: ignore[arg-type]
     first, second = capsys.readouterr().err.splitlines()
-    assert first == "1 runs: 1 to run, up to 12 min, one at a time"
+    assert first == "1 runs: 1 to run, about 12 min, one at a time"
     assert second.startswith("1/1 aperture-gs")
     xb.run(dataset, methods, **asked)  # type: ignore[arg-type]
     (again,) = capsys.readouterr().err.splitlines()
