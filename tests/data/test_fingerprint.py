@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from tests.support.fuzzing.common import xfreqbench
+from tests.support.places import fingerprint_path
 from tests.support.plans import rewritten, wall_moved
 from xfreqbench.bench.fingerprints import NUM_TRANSMITTERS, make_fingerprint
 from xfreqbench.data.dataset import PasDataset, open_dataset
@@ -22,7 +23,6 @@ from xfreqbench.data.fingerprint import (
     TOLERANCE,
     compare_fingerprint,
     field_differences,
-    fingerprint_path,
     read_fingerprint,
     require_fingerprint,
 )

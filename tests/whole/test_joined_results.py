@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from tests.support.fuzzing.common import xfreqbench
+from tests.support.places import fingerprint_path
 from tests.support.plans import rewritten
 from xfreqbench.data.dataset import open_dataset
-from xfreqbench.data.fingerprint import fingerprint_path, read_fingerprint
+from xfreqbench.data.fingerprint import read_fingerprint
 from xfreqbench.runs.records import append, read
 
 NUM_TRANSMITTERS = 10

@@ -132,7 +132,7 @@ class Collection:
         return "\n".join(lines)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _reopened, (str(self.path), self.rooms)
+        return open_collection, (str(self.path),), {"rooms": self.rooms}
 
     @property
     def types(self) -> tuple[str, ...]:
@@ -272,7 +272,3 @@ def _opened(path: Path, sha256: str) -> PasDataset:
     for shared in (dataset.rows, *dataset.tables.values()):
         shared.setflags(write=False)
     return dataset
-
-
-def _reopened(path: str, rooms: tuple[Room, ...]) -> Collection:
-    return replace(open_collection(path), rooms=rooms)

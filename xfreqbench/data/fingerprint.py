@@ -20,7 +20,7 @@ from xfreqbench.units import format_ghz
 
 TOLERANCE = 1e-3  # of solver `image`; traced with other carriers, shipped scenes differ by up to 5e-4
 MIN_TRANSMITTERS = 4  # in common; with fewer, none may see what was changed
-_ENDING, _ADVICE = "_fingerprint.npz", "If it came with xfreqbench, install that again; otherwise make it again."
+_ADVICE = "If it came with xfreqbench, install that again; otherwise make it again."
 
 
 class _About(BaseModel):
@@ -147,11 +147,6 @@ def field_differences(
     return np.median(relative, axis=0)
 
 
-def fingerprint_path(scene_name: str, *, diffraction: bool = True) -> Path:
-    """The file with the fingerprint of a shipped scene, as `generate` traces it, or without diffraction."""
-    return shipped_folder() / f"{scene_name}{'' if diffraction else '_without_diffraction'}{_ENDING}"
-
-
 def read_fingerprint(path: Path) -> Fingerprint:
     """A stored fingerprint; raises `DataError` if it is missing or damaged."""
     wanted = {"about": "text", "tx_position_m": "<f8 T 3", "carrier_hz": "<f8 F", "cfr": "<c8 T F M"}
@@ -166,7 +161,7 @@ def read_fingerprint(path: Path) -> Fingerprint:
 @cache
 def _shipped() -> dict[str, Fingerprint]:
     """The fingerprint of every shipped scene, by the hash of its physics."""
-    fingerprints = map(read_fingerprint, sorted(shipped_folder().glob(f"*{_ENDING}")))
+    fingerprints = map(read_fingerprint, sorted(shipped_folder().glob("*_fingerprint.npz")))
     return {fingerprint.physics_sha256: fingerprint for fingerprint in fingerprints}
 
 

@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args, get_type_hints
@@ -28,6 +29,7 @@ def shipped_families() -> dict[str, str]:
     return {name: content["description"] for name, content in _shipped().items() if "type" in content}
 
 
+@cache
 def _shipped() -> dict[str, dict[str, Any]]:
     return {path.stem: tomllib.loads(read_text(path)) for path in sorted(shipped_folder().glob("*.toml"))}
 

@@ -22,7 +22,7 @@ from xfreqbench.scene.meshes import surface_meshes
 from xfreqbench.scene.model import Antenna, ReceiverArray, Scene, Surface, TransmitterGrid, load_scene
 from xfreqbench.scene.placement import choose_transmitters, place_transmitters
 from xfreqbench.tracing.image.kernels import compiled
-from xfreqbench.tracing.image.kernels.channels import paths_to_centre
+from xfreqbench.tracing.image.kernels.channels import add_channel, paths_to_centre
 from xfreqbench.tracing.image.tracer import ImageSavings, ImageTracer, can_solve
 from xfreqbench.tracing.paths import SPECULAR
 from xfreqbench.tracing.tracer import TraceSettings
@@ -310,13 +310,18 @@ def test_the_solver_declines_what_it_cannot_do() -> None:
         ImageTracer(load_scene("office"), [1e9], TraceSettings(interactions=("specular", "diffuse")))
 
 
-def test_one_carrier_is_traced_by_the_kernels_of_several() -> None:
-    """Numba compiles a kernel for every order of axes of its arrays, which takes half a minute."""
+def test_one_carrier_and_positions_of_a_file_are_traced_by_the_kernels_of_others() -> None:
+    """Numba compiles a kernel for every order of axes of its arrays, and for read-only ones, in half a minute each."""
+    positions_m = np.array([[1.0, 1.0, 1.0]])
     wall = Surface("wall", "concrete", 0.2, (-3.0, -3.0, 0.0), (-3.0, 3.0, 3.0))
     pane = Surface("pane", "glass", 0.01, (3.0, -3.0, 0.0), (3.0, 3.0, 3.0))
     for carriers_hz in CARRIERS_HZ[:1], CARRIERS_HZ[:2]:
-        ImageTracer(scene_of(wall, pane), carriers_hz, TraceSettings(rays=2000)).paths(np.array([1.0, 1.0, 1.0]))
-    assert len(paths_to_centre.signatures) == 1  # type: ignore[attr-defined]
+        tracer = ImageTracer(scene_of(wall, pane), carriers_hz, TraceSettings(rays=2000))
+        tracer.channel(positions_m)
+        tracer.paths(positions_m[0])
+        positions_m.flags.writeable = False
+    for kernel in (add_channel, paths_to_centre):
+        assert len(kernel.signatures) == 1  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow

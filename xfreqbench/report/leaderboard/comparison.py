@@ -123,12 +123,11 @@ class Comparison:
         over resamples. Pairs are taken from the least probable on; the first that is above 5 %, divided by the number
         of pairs that are left, ends it.
         """
-        drawn, found = {row.label: self._average(row) for row in self.ranked_rows}, []
-        for row, other in combinations(self.ranked_rows, 2):  # the better average comes first
-            difference = row.average(self.splits) - other.average(self.splits)
-            scatter = float(np.std(drawn[row.label] - drawn[other.label]))
-            chance = float(2 * ndtr(-difference / scatter)) if scatter else float(difference == 0)
-            found.append((chance, row.label, other.label))
+        found, each = [], [(row.label, row.average(self.splits), self._average(row)) for row in self.ranked_rows]
+        for (row, average, drawn), (other, below, drawn_below) in combinations(each, 2):  # the better one comes first
+            scatter = float(np.std(drawn - drawn_below))
+            chance = float(2 * ndtr((below - average) / scatter)) if scatter else float(average == below)
+            found.append((chance, row, other))
         beaten = set()
         for number, (chance, better, worse) in enumerate(sorted(found)):
             if chance * (len(found) - number) > 0.05:

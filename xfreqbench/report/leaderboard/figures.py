@@ -16,7 +16,7 @@ import numpy as np
 
 from xfreqbench.report.leaderboard.boards import Board, short_name, slug_of
 from xfreqbench.report.leaderboard.columns import cost_of
-from xfreqbench.runs.records import CURVE_SHARES, BenchRecord, CurvePoint, curve_positions
+from xfreqbench.runs.records import CURVE_SHARES, BenchFigure, BenchRecord, CurvePoint, curve_positions
 
 Point = TypeVar("Point")
 
@@ -35,7 +35,9 @@ def learning_curves(board: Board, splits: Sequence[str]) -> list[dict[str, Any]]
         curves = [record.curve for record in row.by_split.get(split, ()) if record.curve]
         if not curves:
             continue
-        reached_s = median(_seconds_to(trivial[split][1], curve) for curve in curves)
+        level = trivial[split][1]
+        reached = (next((at.seconds for at in curve if at.ssim >= level), inf) for curve in curves)
+        reached_s = nan if isnan(level) else median(reached)
         for share, of_seeds in zip((*CURVE_SHARES, 1.0), zip(*map(_by_share, curves), strict=True), strict=True):
             known = [point for point in of_seeds if point]
             if len(known) == len(of_seeds):
@@ -76,11 +78,6 @@ def _by_share(curve: Sequence[CurvePoint]) -> list[CurvePoint | None]:
     return [*map(reached.get, CURVE_SHARES), end]
 
 
-def _seconds_to(ssim: float, curve: Sequence[CurvePoint]) -> float:
-    """Seconds until a curve first reaches a level: inf where it never does, nan where the level is nan."""
-    return nan if isnan(ssim) else next((point.seconds for point in curve if point.ssim >= ssim), inf)
-
-
 def bench_figure(record: BenchRecord) -> str:
     """The link from the report to a measurement's figure."""
     slug = slug_of(re.sub(r"\W+", "-", f"{record.bench} {record.title}".lower())).strip("-")
@@ -92,14 +89,13 @@ def figures_of(boards: Iterable[Board], benches: Iterable[BenchRecord]) -> dict[
     figures: dict[str, Callable[[Path], None]] = {
         board.time_figure: partial(_draw_time, board) for board in boards if board.time_figure
     }
-    return figures | {bench_figure(record): partial(_draw_bench, record) for record in benches if record.figure}
+    return figures | {bench_figure(record): partial(_draw_bench, record.figure) for record in benches if record.figure}
 
 
-def _draw_bench(record: BenchRecord, path: Path) -> None:
+def _draw_bench(figure: BenchFigure, path: Path) -> None:
     from xfreqbench.report.leaderboard.plots import plot_cost
 
-    assert record.figure is not None
-    plot_cost(record.figure, path)
+    plot_cost(figure, path)
 
 
 def _draw_time(board: Board, path: Path) -> None:

@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.figure import Figure
-from matplotlib.transforms import Bbox
 
 from xfreqbench.report.drawing.figures import any_letters, label_decades, panels, plain_style, save_figure, shown
 from xfreqbench.report.drawing.templates import COLOURS
 from xfreqbench.report.leaderboard.figures import pareto_front
 from xfreqbench.report.leaderboard.maps import Levels
 from xfreqbench.runs.records import BenchFigure, BenchPoint
+from xfreqbench.types import FloatArray
 
 _TRIVIAL_LABEL, _FRONT_LABEL = "best trivial predictor", "Pareto front"
 _Points = Sequence[tuple[float, float]]  # of seconds and SSIM
@@ -143,7 +144,6 @@ def _write_labels(canvas: Figure, axis: Any, points: Sequence[BenchPoint], serie
     named = {(point.label, point.x, point.y): point.series for point in reversed(points)}
     centres = {(x, y): axis.transData.transform((x, y)).tolist() for _, x, y in named}
     taken = [_around(*centres[x, y]) for _, x, y in named]
-    frame, points_per_px = axis.bbox.frozen(), 72 / canvas.dpi
     sides = ((1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1), (-1, 0))
     for (label, x, y), name in reversed(named.items()):
         colour = COLOURS[series.index(name) % len(COLOURS)]
@@ -158,21 +158,22 @@ def _write_labels(canvas: Figure, axis: Any, points: Sequence[BenchPoint], serie
             for gap in (9, 16, 26, 40)
             for right, up in sides
         ]
-        covered = [
-            box.width * box.height - _overlap(box, frame) + sum(_overlap(box, each) for each in taken) for box in boxes
-        ]
-        best = boxes[covered.index(min(covered))]
-        text.set_position(((best.x0 - size.x0) * points_per_px, (best.y0 - size.y0) * points_per_px))
+        inside, *covered = _overlaps(boxes, [axis.bbox.extents.tolist(), *taken]).T
+        outside = np.diag(_overlaps(boxes, boxes)) - inside
+        best = boxes[np.argmin(outside + np.sum(covered, axis=0))]
+        text.set_position((np.array(best[:2]) - size.min) * 72 / canvas.dpi)
         taken.append(best)
 
 
-def _around(x: float, y: float, width: float = 10.0, height: float = 10.0) -> Bbox:
-    return Bbox.from_bounds(x - width / 2, y - height / 2, width, height)
+def _around(x: float, y: float, width: float = 10.0, height: float = 10.0) -> tuple[float, float, float, float]:
+    return x - width / 2, y - height / 2, x + width / 2, y + height / 2
 
 
-def _overlap(box: Bbox, other: Bbox) -> float:
-    common = Bbox.intersection(box, other)
-    return common.width * common.height if common else 0.0
+def _overlaps(boxes: Sequence[Sequence[float]], others: Sequence[Sequence[float]]) -> Float[FloatArray, "B O"]:
+    """The area that each of B boxes, as in `_around`, has in common with each of O others."""
+    box, other = np.array(boxes)[:, None], np.array(others)
+    common = np.minimum(box[..., 2:], other[..., 2:]) - np.maximum(box[..., :2], other[..., :2])
+    return np.clip(common, 0, None).prod(axis=-1)
 
 
 def _panel_figure(number: int, labels: Sequence[str]) -> tuple[Figure, list[Any]]:

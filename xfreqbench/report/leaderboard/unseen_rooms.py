@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import compress, groupby
@@ -12,6 +12,7 @@ from statistics import mean
 from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
 from xfreqbench.data.recipe import recipe_name
 from xfreqbench.data.unseen_rooms import ASKED_GHZ, NUMS_HEARD, ROOM_PROTOCOLS
@@ -33,6 +34,7 @@ _MORE = ("skill", "seeds", "s a room", "s to learn", "rooms learned from")
 _Chosen = Callable[[RunRecord], list[FloatArray]]  # SSIM in each room that has any such map
 _Seeds = dict[int, RunRecord]
 _Runs = dict[tuple[str, str], dict[int, _Seeds]]  # by rooms and method, then by the number of transmitters heard
+_Values = dict[tuple[str, int], dict[str, list[FloatArray]]]  # by rooms and that number, then by method
 
 
 def is_of_rooms(record: RunRecord) -> bool:
@@ -82,10 +84,11 @@ def _tables(records: Sequence[RunRecord], data: str) -> list[BenchRecord]:
     tables = []
     for what, named in choices.items():
         columns = ("method", "rooms", *([what] if all(named) else []))
+        values = {name: _values(runs, chosen) for name, chosen in named.items()}
         rows = [
-            (label, *filter(None, [part, name]), *_cells(runs, part, label, chosen), *_seconds(found))
+            (label, *filter(None, [part, name]), *_cells(values[name], part, label), *_seconds(found))
             for (part, label), found in runs.items()
-            for name, chosen in named.items()
+            for name in named
         ]
         shown = [row for row in rows if any(cell != ABSENT for cell in row[len(columns) : -len(_MORE)])]
         tables.append(
@@ -97,7 +100,7 @@ def _tables(records: Sequence[RunRecord], data: str) -> list[BenchRecord]:
                 note=note,
                 columns=(*columns, *(f"{number} heard" for number in NUMS_HEARD), *_MORE),
                 rows=tuple(shown),
-                figure=None if what else _figure(runs),
+                figure=None if what else _figure(runs, values[""]),
                 hardware=last.hardware,
                 software=last.software,
                 git_commit=last.git_commit,
@@ -122,8 +125,10 @@ def _runs(records: Sequence[RunRecord]) -> _Runs:
         row = runs.setdefault((part.rstrip("-") or _TRAINED, label), {})
         row.setdefault(int(number), {})[record.job.seed] = record
 
+    values = _values(runs, _unheard)
+
     def standing(row: tuple[str, str]) -> tuple[bool, float]:
-        reached = _skill(row[1], _values(runs, row[0], max(runs[row]), _unheard))
+        reached = _skill(row[1], values[row[0], max(runs[row])])
         return row[0] != _TRAINED, inf if isnan(reached) else -reached
 
     return {row: runs[row] for row in sorted(runs, key=standing)}
@@ -168,39 +173,44 @@ def _median(scores: list[FloatArray]) -> float:
     return float(np.median(np.concatenate(scores)))
 
 
-def _values(runs: _Runs, part: str, number: int, chosen: _Chosen) -> dict[str, list[FloatArray]]:
-    """Scores of every method that has any, where a number of transmitters is heard."""
-    found = {label: run[number] for (of_part, label), run in runs.items() if of_part == part and number in run}
-    pooled = {
-        label: [np.concatenate(room) for room in zip(*map(chosen, seeds.values()), strict=True)]
-        for label, seeds in found.items()
-    }
-    return {label: scores for label, scores in pooled.items() if scores}
+def _medians(rooms: list[FloatArray]) -> FloatArray:
+    owner = np.repeat(np.arange(len(rooms)), list(map(len, rooms)))
+    return ndimage.median(np.concatenate(rooms), owner, np.arange(len(rooms)))
 
 
-def _cells(runs: _Runs, part: str, label: str, chosen: _Chosen) -> list[str]:
+def _values(runs: _Runs, chosen: _Chosen) -> _Values:
+    """Scores of every method that has any, each room's of all seeds together."""
+    values: _Values = defaultdict(dict)
+    for (part, label), run in runs.items():
+        for number, seeds in run.items():
+            scores = [np.concatenate(room, axis=None) for room in zip(*map(chosen, seeds.values()), strict=True)]
+            values[part, number] |= {label: scores} if scores else {}
+    return values
+
+
+def _cells(values: _Values, part: str, label: str) -> list[str]:
     """Cells of one row: of each number of transmitters heard, and the skill at the most of them."""
     cells, reached = [], nan
     for number in NUMS_HEARD:
-        values = _values(runs, part, number, chosen)
-        if label not in values:
+        found = values[part, number]
+        if label not in found:
             cells.append(ABSENT)
             continue
         start = "line-of-sight"  # which knows geometry alone, and to which the others are compared
-        cells.append(_cell(values[label], values.get(start) if label != start else None))
-        reached = _skill(label, values)
+        cells.append(_cell(found[label], found.get(start) if label != start else None))
+        reached = _skill(label, found)
     return [*cells, ABSENT if isnan(reached) else f"{reached:.2f}"]
 
 
-def _skill(label: str, values: dict[str, list[FloatArray]]) -> float:
-    trivial = [_median(scores) for name, scores in values.items() if name in EVERY_TRIVIAL]
-    return skill(_median(values[label]), max(trivial, default=nan))
+def _skill(label: str, found: dict[str, list[FloatArray]]) -> float:
+    trivial = [_median(scores) for name, scores in found.items() if name in EVERY_TRIVIAL]
+    return skill(_median(found[label]), max(trivial, default=nan))
 
 
 def _cell(values: list[FloatArray], start: list[FloatArray] | None) -> str:
     if start is None:
         return f"{_median(values):.3f}"
-    by_room = np.array([np.median(room) - np.median(other) for room, other in zip(values, start, strict=True)])
+    by_room = _medians(values) - _medians(start)
     drawn = np.random.default_rng(0).choice(by_room, (NUM_RESAMPLES, len(by_room))).mean(axis=1)
     low, high = np.quantile(drawn, [0.025, 0.975])
     return f"{_median(values):.3f}, {by_room.mean():+.3f} [{low:+.3f}, {high:+.3f}]"
@@ -216,11 +226,11 @@ def _seconds(run: dict[int, _Seeds]) -> list[str]:
     return [f"{len(records)}", f"{room_s:.2f}", f"{fit_s:.0f}", f"{num_rooms:,.0f}" if num_rooms else ABSENT]
 
 
-def _figure(runs: _Runs) -> BenchFigure | None:
+def _figure(runs: _Runs, values: _Values) -> BenchFigure | None:
     """Skill by the number of transmitters heard: of methods without options, or of all where each has some."""
     rows = [row for row in runs if row[1] not in EVERY_TRIVIAL]
     points = [
-        (f"{label}, {part}", float(number), _skill(label, _values(runs, part, number, _unheard)))
+        (f"{label}, {part}", float(number), _skill(label, values[part, number]))
         for part, label in [row for row in rows if "=" not in row[1]] or rows
         for number in sorted(runs[part, label])
     ]

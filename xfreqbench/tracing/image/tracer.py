@@ -166,7 +166,7 @@ class ImageTracer:
     @checked
     def channel(self, tx_position_m: Positions) -> Channel:
         """Channel (T, F, M) of T transmitters at the array's elements, and the number of paths (T, F)."""
-        tx = np.ascontiguousarray(tx_position_m, dtype=np.float64)
+        tx = np.array(tx_position_m, np.float64, order="C")  # a copy: for read-only arrays kernels are compiled anew
         shape = len(tx), len(self.carrier_hz), self._scene.aperture.element_m.shape[2]
         real, imag, num_paths = np.zeros(shape), np.zeros(shape), np.zeros(shape[:2], np.int32)
 
@@ -191,7 +191,7 @@ class ImageTracer:
     @checked
     def paths(self, tx_position_m: Position) -> Paths:
         """Paths of one transmitter to the array centre, the earliest first."""
-        tx, depth = np.ascontiguousarray(tx_position_m, dtype=np.float64), self.settings.max_depth
+        tx, depth = np.array(tx_position_m, np.float64, order="C"), self.settings.max_depth
         found = paths_to_centre(self.facets, self._media_at_centre, self._trie, self._surface, tx, depth)
         if self.diffraction is not None:
             found += self.diffraction.paths(tx, self._floor(tx))
