@@ -12,11 +12,10 @@ records are added to those that are there, and maps stay as they are. What metho
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from xfreqbench.report.drawing.markdown import ABSENT, table
+from xfreqbench.report.drawing.markdown import ABSENT, prose, table
 from xfreqbench.report.leaderboard.boards import Board
 from xfreqbench.report.leaderboard.captions import reduced_statement
 from xfreqbench.report.leaderboard.columns import columns
@@ -27,14 +26,13 @@ from xfreqbench.report.leaderboard.report import BEGIN, END, write_report
 from xfreqbench.report.leaderboard.results import read_results, results_at
 from xfreqbench.runs.folder import ResultsFolder
 from xfreqbench.runs.record_table import write_table
-from xfreqbench.runs.records import StoredRecords
+from xfreqbench.runs.records import BenchRecord, StoredRecords
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = [ROOT / "baselines" / f"{name}_results.parquet" for name in ("reference", "paper_size", "unseen_rooms")]
 BY_HAND = "paper-size.md"  # among the pages of results
 # What is generated in BENCHMARK.md has marks of its own, so that no other `xfreqbench report` replaces it.
 MARKS = {BEGIN: "<!-- docs/remake.py: begin -->", END: "<!-- docs/remake.py: end -->"}
-TABLE = re.compile(r"(?<=<!-- leaderboard -->\n).*?(?=\n<!-- /leaderboard -->)", re.DOTALL)
 
 
 def take(folders: list[Path], add: bool = False) -> None:
@@ -74,6 +72,72 @@ def readme_table(boards: Sequence[Board]) -> str:
     return table([*here_heads, "SSIM, open_office", "skill, open_office"], body)
 
 
+def speed_table(benches: Sequence[BenchRecord]) -> str:
+    """What the measurements say of generator, renderer, savings and stability, a line each, with their commands."""
+
+    def row(title: str, *start: str) -> dict[str, str]:
+        bench = next(bench for bench in benches if bench.title == title)
+        found = next(cells for cells in bench.rows if cells[: len(start)] == start)
+        return dict(zip(bench.columns, found, strict=True)) | {"command": f"`{bench.command}`"}
+
+    def accuracy(scene: str) -> str:
+        traced = row(f"The plain way, {scene}", "image, defaults, tracing alone")
+        return f"{traced['1 GHz']} at 1 GHz, {traced['94 GHz']} at 94 GHz; bar {traced['bar']}"
+
+    diffracted = row("Error of the generated maps against run time, office", "image, diffraction on")
+    office, bedroom = (row(f"The full pipeline, {scene}", "image") for scene in ("office", "bedroom.toml"))
+    paths, other = (row("Time of the solvers", "3", solver) for solver in ("image", "PathSolver"))
+    saved = row("Savings, each off and on", "image: these three together")
+    splat, fit = row("Splatting alone", "16000", "32"), row("Training steps of methods", "xfreq-gs")
+    stress = next(bench for bench in benches if bench.title == "Numerical stability")
+    is_kept = [case[-1].startswith("ok") for case in stress.rows]
+    body = [
+        (
+            "the office, from scene to finished file",
+            f"{office['ms a sample']} ms a map; traced with diffraction {diffracted['ms a sample']}",
+            f"{office['rate / the cheapest plain that meets the bar']} × the cheapest `PathSolver` that meets the bar",
+            accuracy("office"),
+            office["command"],
+        ),
+        (
+            "a bedroom of meshes, likewise",
+            f"{bedroom['ms a sample']} ms a map",
+            f"{bedroom['rate / the plain way']} × `PathSolver`, which never meets the bar",
+            accuracy("bedroom"),
+            bedroom["command"],
+        ),
+        (
+            "channels of three reflections among 40 triangles, one core",
+            f"{paths['ms a transmitter']} ms a transmitter",
+            f"{float(other['time : image']):,.0f} × `PathSolver`",
+            f"{paths['dB']} dB; `PathSolver` {other['dB']} dB",
+            paths["command"],
+        ),
+        (
+            "three savings of `image` together",
+            f"{saved['on, ms']} ms a map",
+            f"{saved['off / on']} × without them",
+            saved["change in the answer"],
+            saved["command"],
+        ),
+        (
+            "splatting of 16,000 Gaussians, forward and backward, 32 maps a step",
+            f"{splat['numba ms']} ms a map; `xfreq-gs` learns from {fit['maps/s']} a second",
+            f"{splat['dense / numba']} × every Gaussian on every direction",
+            f"{splat['error of values']} of values, {splat['of gradients']} of gradients",
+            splat["command"],
+        ),
+        (
+            "numerical stability",
+            ABSENT,
+            ABSENT,
+            f"{sum(is_kept)} of {len(is_kept)} cases within their limits",
+            f"`{stress.command}`",
+        ),
+    ]
+    return table(["what", "time", "faster than", "error", "command"], body, prose)
+
+
 def remake(root: Path, page: Path | None = None) -> list[Path]:
     """Make the pages below `root`, and the web page; pages of results that are made no more are removed."""
     found, details = read_results(RECORDS), root / "docs" / "results"
@@ -86,11 +150,19 @@ def remake(root: Path, page: Path | None = None) -> list[Path]:
     for path in set(details.rglob("*.*")) - set(written):
         if path.name != BY_HAND:
             path.unlink()
-    readme = root / "README.md"
-    readme.write_text(TABLE.sub(lambda _: readme_table(found.boards), readme.read_text("utf-8")), "utf-8")
+    _fill(root / "README.md", "leaderboard", readme_table(found.boards))
+    _fill(page_md, "speed", speed_table(found.benches))
     if page is not None:
         write_page(found, page, results_at("v2"))
     return written
+
+
+def _fill(path: Path, name: str, text: str) -> None:
+    """Put a text between the two marks of a name in a page."""
+    before, begin, rest = path.read_text("utf-8").partition(f"<!-- {name} -->\n")
+    _, end, after = rest.partition(f"\n<!-- /{name} -->")
+    assert begin and end, f"{path} has no place for {name}"
+    path.write_text(before + begin + text + end + after, "utf-8")
 
 
 def _replace(path: Path, texts: dict[str, str]) -> None:

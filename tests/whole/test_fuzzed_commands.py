@@ -100,8 +100,8 @@ LINES: dict[str, tuple[str, ...]] = {
 }
 
 NAMES_OR_PATHS = {"scene", "data_or_scene", "results", "a", "b"}  # of shipped scenes, or of records
-NUM_INPUTS = {"maps to show": 12, "stored predictions": 12, "mesh": 10, "PNG folder": 40, "positions": 150}
-NUM_INPUTS |= {"measurement": 150, "receiver of a PNG folder": 150, "table of a PNG folder": 100}  # others: 20
+NUM_INPUTS = {"maps to show": 12, "stored predictions": 12, "mesh": 10, "PNG folder": 40, "positions": 100}
+NUM_INPUTS |= {"measurement": 100, "receiver of a PNG folder": 100, "table of a PNG folder": 70}  # others: 20
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
 
 

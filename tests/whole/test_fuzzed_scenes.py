@@ -93,13 +93,13 @@ def naming(name: str, contents: st.SearchStrategy[bytes]) -> st.SearchStrategy[d
 
 PLACES = WORDS | ODD_WORDS | st.sampled_from([".", "\0", "room.xml/x", "odd.toml", "wall.ply", "~", "\n"])
 CHANGES = {  # by what is changed: the files, and how many are tried
-    "text": (texts().map(lambda text: {"odd.toml": text.encode("utf-8", "surrogateescape")}), 150),
-    "Mitsuba XML": (mitsuba().map(lambda xml: {"room.xml": xml}), 120),
-    "place": (PLACES.map(lambda place: {"odd.toml": toml_file({**EMPTY_SCENE, "scene": place}).encode()}), 50),
-    "PLY": (ply_files().map(lambda ply: {"wall.ply": ply}), 120),
-    "Mitsuba XML of many parts": (naming("rich.xml", edited_bytes(RICH_XML)), 50),
-    "GLB": (naming("odd.glb", glb()), 60),
-    "OBJ": (naming("odd.obj", edited_bytes(OBJ)), 40),
+    "text": (texts().map(lambda text: {"odd.toml": text.encode("utf-8", "surrogateescape")}), 100),
+    "Mitsuba XML": (mitsuba().map(lambda xml: {"room.xml": xml}), 80),
+    "place": (PLACES.map(lambda place: {"odd.toml": toml_file({**EMPTY_SCENE, "scene": place}).encode()}), 35),
+    "PLY": (ply_files().map(lambda ply: {"wall.ply": ply}), 80),
+    "Mitsuba XML of many parts": (naming("rich.xml", edited_bytes(RICH_XML)), 35),
+    "GLB": (naming("odd.glb", glb()), 40),
+    "OBJ": (naming("odd.obj", edited_bytes(OBJ)), 30),
 }
 
 

@@ -70,6 +70,17 @@ def test_every_link_of_a_short_report_leads_to_a_file(written: tuple[Path, ...])
         assert all((page.parent / link).is_file() for link in links), links
 
 
+def test_the_main_board_has_columns_of_another_scene_where_methods_ran_too(tmp_path: Path, results: Path) -> None:
+    assert "corridor: " not in report_text(results, tmp_path)  # where baselines ran alone
+    records = [*records_of("office"), *(each for each in records_of("corridor") if each.job.method != "nearest")]
+    records = [record.model_copy(update={"id": f"run {number}"}) for number, record in enumerate(records)]
+    text = report_text(store(tmp_path, *records), tmp_path)
+    assert "Columns of corridor are of the board there at " in text
+    ours, nearest = (rows_of(text, method)[0] for method in ("ours", "nearest"))
+    assert ours["corridor: average"] == ours["average"]
+    assert nearest["corridor: average"] == "–" != nearest["average"]
+
+
 def test_the_matrix_of_skill_has_the_skill_of_each_board(written: tuple[Path, ...]) -> None:
     matrix = rows_of(written[0].read_text("utf-8"), "office, lofo")[-1]
     assert matrix == {"board": "office, lofo", "ours": "0.500"}

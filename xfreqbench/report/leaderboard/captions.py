@@ -199,11 +199,8 @@ def sources_of(rows: Sequence[BoardRow]) -> list[dict[str, Any]]:
 
 def legend(is_short: bool = False) -> str:
     """The section that explains every column of a report, or those of a short leaderboard."""
-    terms = {
-        metric_title(name): metric.description
-        for name, metric in METRICS.items()
-        if not is_short or name in ("aoa_error", "beam_loss")
-    }
+    shown = ["beam_loss"] if is_short else METRICS
+    terms = {metric_title(name): METRICS[name].description for name in shown}
     terms["whose"] = (
         "*ours*: of this project; *reduced*: our small version of a published system; *authors' code*: their program, "
         "run here; *self-reported*: run by others; *verified*: run by others, and repeated here"

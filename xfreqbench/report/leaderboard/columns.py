@@ -30,7 +30,7 @@ BRIEF = ("rank", "method", "origin", "splits", "average", "skill", "seconds")
 
 
 @dataclass(frozen=True)
-class _Column:
+class Column:
     """One column: its title, a hint that explains it, and the cell of each row.
 
     `value` is the number that rows are sorted by, nan where it is unknown; a column of words has none and is sorted
@@ -60,6 +60,12 @@ class _Column:
         """The text, followed by the interval if that is known."""
         return f"{self.text(row)} {self.interval(row)}".strip()
 
+    def elsewhere(self, scene: str, rows: Sequence[BoardRow]) -> Column:
+        """The column for rows of another board, of what rows of the same label have in this one's scene."""
+        cells = {row.short_label: self.cell(row) for row in rows}
+        title, unknown = f"{scene}: {self.title}", lambda row: UNKNOWN
+        return replace(self, title=title, words=lambda row: cells.get(row.short_label, ABSENT), bounds=unknown)
+
     def _number(self, value: float) -> str:
         """A number, a dash where it is unknown, ∞ where it is infinite, as the PSNR of a perfect map is."""
         return ABSENT if isnan(value) else f"{value:{self.form}}".replace("inf", "∞")
@@ -78,7 +84,7 @@ def metric_title(name: str) -> str:
     return titles.get(name, name.replace("_", " ")) + (f" ({unit})" if unit else "")
 
 
-def columns(comparison: Comparison, names: Sequence[str]) -> list[_Column]:
+def columns(comparison: Comparison, names: Sequence[str]) -> list[Column]:
     """Columns of a comparison by name: those of `METRICS` and `COSTS`, and the others below.
 
     `splits` is a column of each split where there are several. Columns that no record of the board has a number for
@@ -92,18 +98,18 @@ def columns(comparison: Comparison, names: Sequence[str]) -> list[_Column]:
     def place(end: int) -> Callable[[BoardRow], float]:
         return lambda row: (comparison.ranks(row) or (nan, nan))[end]
 
-    def of_ssim(title: str, hint: str, value: Callable[[BoardRow], float]) -> _Column:
-        return _Column(title, hint, value, ".4f", is_largest_first=True)
+    def of_ssim(title: str, hint: str, value: Callable[[BoardRow], float]) -> Column:
+        return Column(title, hint, value, ".4f", is_largest_first=True)
 
-    def of_metric(name: str) -> _Column:
+    def of_metric(name: str) -> Column:
         hint = f"median, mean over splits and seeds: {METRICS[name].description}"
         form = {"ssim_wrapped": ".4f", "beam_loss": ".3f"}.get(name, ".2f")
         value = average(lambda record: record.scores[name].median if name in record.scores else nan)
-        return _Column(metric_title(name), hint, value, form, is_largest_first=METRICS[name].higher_is_better)
+        return Column(metric_title(name), hint, value, form, is_largest_first=METRICS[name].higher_is_better)
 
-    def of_cost(name: str) -> _Column:
+    def of_cost(name: str) -> Column:
         title, hint, form, _ = COSTS[name]
-        return _Column(title, f"{hint}, mean over splits and seeds", average(lambda each: cost_of(each, name)), form)
+        return Column(title, f"{hint}, mean over splits and seeds", average(lambda each: cost_of(each, name)), form)
 
     def origins(row: BoardRow) -> str:
         of_row = set(map(board.origin, row.records))
@@ -118,17 +124,17 @@ def columns(comparison: Comparison, names: Sequence[str]) -> list[_Column]:
         bounds=comparison.interval,
     )
     every = {
-        "rank": _Column(
+        "rank": Column(
             "rank",
             "places that the intervals leave open, or why there is no rank",
             lambda row: place(0)(row) + place(1)(row) / 1e4,  # by the best place, then by the worst
             words=lambda row: comparison.unranked(row) or _span(comparison.ranks(row)),
         ),
-        "best rank": _Column("best rank", "best place that the intervals leave open", place(0), ".0f"),
-        "worst rank": _Column("worst rank", "worst place that the intervals leave open", place(1), ".0f"),
-        "method": _Column("method", "with what differs from a plain run", None, words=lambda row: row.short_label),
-        "whose": _Column("whose", "ours, or of others: see below", None, words=lambda row: row.whose),
-        "origin": _Column("origin", "machine, code and data, told below the table", None, words=origins),
+        "best rank": Column("best rank", "best place that the intervals leave open", place(0), ".0f"),
+        "worst rank": Column("worst rank", "worst place that the intervals leave open", place(1), ".0f"),
+        "method": Column("method", "with what differs from a plain run", None, words=lambda row: row.short_label),
+        "whose": Column("whose", "ours, or of others: see below", None, words=lambda row: row.whose),
+        "origin": Column("origin", "machine, code and data, told below the table", None, words=origins),
         "ssim": ssim,
         "average": replace(ssim, title="average" if len(splits) > 1 else short_name(splits[0]), is_board_order=True),
         "mean": of_ssim(
@@ -139,7 +145,7 @@ def columns(comparison: Comparison, names: Sequence[str]) -> list[_Column]:
             "SSIM that a tenth of the test maps lies below, mean over splits and seeds",
             average(lambda record: record.scores["ssim"].p10),
         ),
-        "skill": _Column(
+        "skill": Column(
             "skill",
             "share of the best baseline's error that is removed, and its 95 % interval",
             average(board.skill),
@@ -147,21 +153,21 @@ def columns(comparison: Comparison, names: Sequence[str]) -> list[_Column]:
             bounds=comparison.skill_interval,
             is_largest_first=True,
         ),
-        "seed spread": _Column(
+        "seed spread": Column(
             "± seeds", "standard deviation of the average over the seeds", lambda row: row.seed_spread(splits), ".4f"
         ),
-        "seeds": _Column(
+        "seeds": Column(
             "seeds",
             "runs of each split",
             lambda row: float(row.num_seeds(splits)[0]),
             words=lambda row: _span(row.num_seeds(splits)),
             is_largest_first=True,
         ),
-        "trained on": _Column(
+        "trained on": Column(
             "trained on", "data, carriers and transmitters", None, words=lambda row: _trained_on(row, splits)
         ),
     }
-    found: list[_Column] = []
+    found: list[Column] = []
     for name in names:
         if name == "splits":
             for split in splits if len(splits) > 1 else ():

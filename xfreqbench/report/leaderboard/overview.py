@@ -39,12 +39,10 @@ def overview_markdown(
     parts = [
         *(_provenance(ranked) if ranked else ()),
         *_findings(compared, of_scene),
-        *_main_board(first, pages),
-        *_worth(first),
+        *_main_board(first, compared, pages),
         *_skill_matrix(compared),
         *_other_truths(ranked),
         *rooms_overview(benches, pages.get(ROOMS, "")),
-        *_time([each.board for each in compared if each.board.scene == scene], pages),
         claims,
         worse,
         f"Every board, measurement and figure: {links}. CSV files beside these pages have every split, metric, "
@@ -275,27 +273,39 @@ def _reached(board: Board, row: BoardRow, splits: tuple[str, ...]) -> str:
     return f"{value} ({board.lane}, {number} seed{'s' * (number > 1)})"
 
 
-def _main_board(comparison: Comparison | None, pages: Mapping[str, str]) -> list[str]:
-    """The ranking of the main scene on its first protocol, without columns of splits where these are many."""
-    if comparison is None:
+def _main_board(first: Comparison | None, compared: Sequence[Comparison], pages: Mapping[str, str]) -> list[str]:
+    """The ranking of the main scene on its first protocol, without columns of splits where these are many.
+
+    Beside it is that in another scene, of several with this protocol that with most boards; below, error against time.
+    """
+    if first is None:
         return []
-    board = comparison.board
-    title = heading(" · ".join(filter(None, (board.scene, board.protocol, board.lane_title))))
-    more = f"**{leak_statement(board)}** [The other boards]({pages[board.scene]})"
-    every = (*BRIEF[:2], "whose", *BRIEF[2:-1], "beam_loss", "aoa_error", BRIEF[-1])
-    shown = [name for name in every if name != "splits" or len(comparison.splits) <= 5]
-    return [f"## {title}\n\n{more}\n\n{ranking_table(comparison, shown)}"]
+    board = first.board
+    title, page = heading(" · ".join(filter(None, (board.scene, board.protocol, board.lane_title)))), pages[board.scene]
+    said = f"**{leak_statement(board)}** [The other boards]({page})."
+    alike = [each for each in compared if each.board.protocol == board.protocol and each is not first and _fitted(each)]
+    num_boards, more = Counter(each.board.scene for each in compared), []
+    for other in sorted(alike, key=lambda each: -num_boards[each.board.scene])[:1]:
+        scene, of_both = other.board.scene, ("rank", "average", "skill", "beam_loss")
+        said += f" Columns of {literal(scene)} are {_on('of the board there', other.splits)}."
+        more = [column.elsewhere(scene, other.rows) for column in columns(other, of_both)]
+    every = (*BRIEF[:2], "whose", *BRIEF[2:-1], "beam_loss", BRIEF[-1])
+    shown = [name for name in every if name != "splits" or len(first.splits) <= 5]
+    drawn = f"{page.rpartition('/')[0]}/{board.time_figure}".lstrip("/")
+    figure = [f"Error against time: ![SSIM against seconds of fitting, {title}]({drawn})"] if board.time_figure else []
+    return [f"## {title}\n\n{said}\n\n{ranking_table(first, shown, more=more)}", *figure]
 
 
-def _worth(comparison: Comparison | None) -> list[str]:
+def worth(ranked: Sequence[Board]) -> str:
     """What the best methods and the best baseline have in other units than SSIM, and how much .01 of SSIM is in these.
 
-    That is the slope of a line through all rows of the comparison that have a median SSIM of .7 or more.
+    That is the slope of a line through all rows of the first board that have a median SSIM of .7 or more.
     """
+    comparison = next(map(_first_comparison, main_boards(ranked)), None)
     rows = [row for row in comparison.rows if row.average(comparison.splits) >= 0.7] if comparison else []
     shown = [row for row in rows if not row.is_trivial][:2] + [row for row in rows if row.is_trivial][:1]
     if comparison is None or len(rows) < 5 or not all("beam_loss" in row.records[0].scores for row in rows):
-        return []
+        return ""
     ssim = [row.average(comparison.splits) for row in rows]
     quantities: dict[str, Callable[[RunRecord], float]] = {
         "beam loss, median (dB)": lambda record: record.scores["beam_loss"].median,
@@ -315,7 +325,7 @@ def _worth(comparison: Comparison | None) -> list[str]:
         "since maps have a peak of 1."
     )
     header = ["", ".01 of SSIM more", *(row.short_label for row in shown)]
-    return [f"## What .01 of SSIM is worth\n\n{caption}\n\n{table(header, body)}"]
+    return f"## What .01 of SSIM is worth\n\n{caption}\n\n{table(header, body)}"
 
 
 def _skill_matrix(compared: Sequence[Comparison]) -> list[str]:
@@ -374,13 +384,3 @@ def _other_truths(ranked: Sequence[Board]) -> list[str]:
         "a solver are of one room and the same transmitters, those without of maps that others published."
     )
     return [f"## Other truth\n\n{caption}\n\n{table(header, [baselines, *body])}"]
-
-
-def _time(of_scene: Sequence[Board], pages: Mapping[str, str]) -> list[str]:
-    """The figure of error against time of the first board that has one."""
-    for board in of_scene:
-        if board.time_figure:
-            link = "/".join(filter(None, [pages[board.scene].rpartition("/")[0], board.time_figure]))
-            words = heading(f"{board.scene} · {board.protocol}")
-            return ["## Error against time", f"![SSIM against seconds of fitting, {words}]({link})"]
-    return []

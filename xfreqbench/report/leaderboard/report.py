@@ -15,7 +15,7 @@ from xfreqbench.report.leaderboard.boards import Board, machine_name, short_comm
 from xfreqbench.report.leaderboard.captions import data_statement, leak_statement, legend, origin_statement
 from xfreqbench.report.leaderboard.comparison import comparisons_of
 from xfreqbench.report.leaderboard.figures import bench_figure, figures_of
-from xfreqbench.report.leaderboard.overview import overview_markdown
+from xfreqbench.report.leaderboard.overview import overview_markdown, worth
 from xfreqbench.report.leaderboard.paper import paper_page
 from xfreqbench.report.leaderboard.results import RankedResults, Results, read_results
 from xfreqbench.report.leaderboard.side_by_side import NOTHING_WORSE, WORSE_HEADER, got_worse
@@ -138,7 +138,10 @@ def _pages(found: RankedResults, output_md: Path, details: Path, since: Path | N
         by_scene.setdefault(board.scene, []).append(board)
     folder = Path(os.path.relpath(details, output_md.parent)).as_posix()
     pages = [
-        (scene, _Page(details / f"{slug_of(scene)}.md", heading(scene), report_markdown(ranked, ()), ranked))
+        (
+            scene,
+            _Page(details / f"{slug_of(scene)}.md", heading(scene), report_markdown(ranked, (), worth(ranked)), ranked),
+        )
         for scene, ranked in by_scene.items()
     ]
     claims = ""
@@ -158,16 +161,16 @@ def _pages(found: RankedResults, output_md: Path, details: Path, since: Path | N
 
 
 def report_markdown(
-    ranked: Iterable[Board], benches: Sequence[BenchRecord], worse: str = "", is_alone: bool = False
+    ranked: Iterable[Board], benches: Sequence[BenchRecord], more: str = "", is_alone: bool = False
 ) -> str:
-    """The generated part of a whole report: tables of every board and of every measurement, with links to figures.
+    """The generated part of a whole report: tables of every board, what `more` says, and every measurement.
 
     If it `is_alone`, no files are beside it: there are no links, and every metric and row is in a table.
     """
     own = [bench for bench in benches if bench.bench == "benchmark"]
     others = [bench for bench in benches if bench.bench != "benchmark"]
     shown = [_board_section(board, is_alone) for board in ranked]
-    parts = [*_bench_sections(own, is_alone), *shown, worse, *_bench_sections(others, is_alone), legend()]
+    parts = [*_bench_sections(own, is_alone), *shown, more, *_bench_sections(others, is_alone), legend()]
     return "\n\n".join(filter(None, parts)) + "\n"
 
 

@@ -75,8 +75,7 @@ def got_worse(before: Sequence[RunRecord], after: Sequence[RunRecord]) -> list[l
             pair = _pair(old[place], known[row.label], row)
             a, b = pair.board.rows
             if pair.splits and b.average(pair.splits) < a.average(pair.splits) and pair.difference(b, a)[1] < 0:
-                cells = _ssim_cells(pair)[3:6]
-                cells = [", ".join(place[:2]), row.label, *cells, _what_is_different(pair)]
+                cells = [", ".join(place[:2]), row.label, *_ssim_cells(pair)[3:6], _what_is_different(pair)]
                 found.append((float(cells[4].split()[0]), cells))
     return [cells for _, cells in sorted(found)]
 
@@ -234,8 +233,7 @@ def _notes(a: Board, b: Board, pairs: Sequence[Comparison]) -> list[str]:
     said = [
         f"Of fewer than {MIN_SEEDS} seeds: {', '.join(few)}. Another seed may change the difference by more than the "
         "interval says."
-    ]
-    said = said if few else []
+    ] * bool(few)
     shown = {row.label for pair in pairs for row in pair.board.rows}
     for side, board, other in (("A", a, b), ("B", b, a)):
         alone = [

@@ -16,7 +16,7 @@ from xfreqbench.report.drawing.markdown import paragraph, table
 from xfreqbench.report.drawing.templates import SOFTWARE
 from xfreqbench.report.leaderboard.boards import Board, boards, comparable, short_name
 from xfreqbench.report.leaderboard.captions import leak_statement, notes
-from xfreqbench.report.leaderboard.columns import BRIEF, COSTS, OTHER_METRICS, columns
+from xfreqbench.report.leaderboard.columns import BRIEF, COSTS, OTHER_METRICS, Column, columns
 from xfreqbench.report.leaderboard.comparison import Comparison, comparisons_of
 from xfreqbench.report.leaderboard.figures import learning_curves
 from xfreqbench.report.leaderboard.results import read_results, results_at
@@ -90,11 +90,13 @@ def leaderboard(results: FilePath | Sequence[InstanceOf[RunRecord]] | Sequence[F
     return Leaderboard(found)
 
 
-def ranking_table(comparison: Comparison, names: Sequence[str] = (), has_others: bool = False) -> str:
+def ranking_table(
+    comparison: Comparison, names: Sequence[str] = (), has_others: bool = False, more: Sequence[Column] = ()
+) -> str:
     """The rows of a comparison, the best average of median SSIM first, with a caption above and notes below.
 
-    `names` are those of columns, such as `BRIEF`. An interval is in the cell of its number. If it `has_others`, another
-    table has the scores that this one does not have.
+    `names` are those of columns, such as `BRIEF`; `more` columns follow. An interval is in the cell of its number. If
+    it `has_others`, another table has the scores that this one does not have.
     """
     num_splits = len(comparison.splits)
     where = f" on {num_splits} splits, best average first" if num_splits > 1 else ", best first"
@@ -102,7 +104,7 @@ def ranking_table(comparison: Comparison, names: Sequence[str] = (), has_others:
     names = names or (*BRIEF[:2], "whose", *BRIEF[2:5], *others, *COSTS)
     parts = [
         f"Median SSIM{where}; order within overlapping ranks means nothing:",
-        _table(comparison, names),
+        _table(comparison, names, more),
         *map(paragraph, notes(comparison)),
     ]
     if has_others:
@@ -113,8 +115,8 @@ def ranking_table(comparison: Comparison, names: Sequence[str] = (), has_others:
     return "\n\n".join(parts)
 
 
-def _table(comparison: Comparison, names: Sequence[str]) -> str:
-    shown = columns(comparison, names)
+def _table(comparison: Comparison, names: Sequence[str], more: Sequence[Column] = ()) -> str:
+    shown = [*columns(comparison, names), *more]
     return table([each.title for each in shown], [[each.cell(row) for each in shown] for row in comparison.rows])
 
 

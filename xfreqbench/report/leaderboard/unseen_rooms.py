@@ -114,13 +114,14 @@ def _runs(records: Sequence[RunRecord]) -> _Runs:
     """The runs of each row, the best row first; a label says the budget where a method has several."""
     budgets: dict[str, set[str]] = {}
     names = [" ".join([record.job.method, *record.job.overrides]) for record in records]
-    for name, record in zip(names, records, strict=True):
-        budgets.setdefault(_without_choice(name), set()).add(budget_text(record.job.budget))
+    bare = [re.sub(r" trained_on=\d+", "", name) for name in names]  # without the option that chooses training rooms
+    for name, record in zip(bare, records, strict=True):
+        budgets.setdefault(name, set()).add(budget_text(record.job.budget))
     runs: _Runs = {}
-    for name, record in zip(names, records, strict=True):
+    for name, method, record in zip(names, bare, records, strict=True):
         label = name
         if name not in EVERY_TRIVIAL:
-            label += f", {budget_text(record.job.budget)}" if len(budgets[_without_choice(name)]) > 1 else ""
+            label += f", {budget_text(record.job.budget)}" if len(budgets[method]) > 1 else ""
         part, number = record.job.split.rpartition("heard-")[0], record.job.split.rpartition("-")[2]
         row = runs.setdefault((part.rstrip("-") or _TRAINED, label), {})
         row.setdefault(int(number), {})[record.job.seed] = record
@@ -132,11 +133,6 @@ def _runs(records: Sequence[RunRecord]) -> _Runs:
         return row[0] != _TRAINED, inf if isnan(reached) else -reached
 
     return {row: runs[row] for row in sorted(runs, key=standing)}
-
-
-def _without_choice(name: str) -> str:
-    """A method's name without the option that chooses training rooms."""
-    return re.sub(r" trained_on=\d+", "", name)
 
 
 def _note(record: RunRecord) -> str:
@@ -190,15 +186,9 @@ def _values(runs: _Runs, chosen: _Chosen) -> _Values:
 
 def _cells(values: _Values, part: str, label: str) -> list[str]:
     """Cells of one row: of each number of transmitters heard, and the skill at the most of them."""
-    cells, reached = [], nan
-    for number in NUMS_HEARD:
-        found = values[part, number]
-        if label not in found:
-            cells.append(ABSENT)
-            continue
-        start = "line-of-sight"  # which knows geometry alone, and to which the others are compared
-        cells.append(_cell(found[label], found.get(start) if label != start else None))
-        reached = _skill(label, found)
+    known = [values[part, number] for number in NUMS_HEARD]
+    *_, reached = nan, *(_skill(label, found) for found in known if label in found)
+    cells = [_cell(label, found) if label in found else ABSENT for found in known]
     return [*cells, ABSENT if isnan(reached) else f"{reached:.2f}"]
 
 
@@ -207,13 +197,15 @@ def _skill(label: str, found: dict[str, list[FloatArray]]) -> float:
     return skill(_median(found[label]), max(trivial, default=nan))
 
 
-def _cell(values: list[FloatArray], start: list[FloatArray] | None) -> str:
-    if start is None:
-        return f"{_median(values):.3f}"
-    by_room = _medians(values) - _medians(start)
+def _cell(label: str, found: dict[str, list[FloatArray]]) -> str:
+    """The median, and how far above `line-of-sight` it is, which knows geometry alone."""
+    value, start = f"{_median(found[label]):.3f}", found.get("line-of-sight")
+    if start is None or label == "line-of-sight":
+        return value
+    by_room = _medians(found[label]) - _medians(start)
     drawn = np.random.default_rng(0).choice(by_room, (NUM_RESAMPLES, len(by_room))).mean(axis=1)
     low, high = np.quantile(drawn, [0.025, 0.975])
-    return f"{_median(values):.3f}, {by_room.mean():+.3f} [{low:+.3f}, {high:+.3f}]"
+    return f"{value}, {by_room.mean():+.3f} [{low:+.3f}, {high:+.3f}]"
 
 
 def _seconds(run: dict[int, _Seeds]) -> list[str]:
