@@ -15,11 +15,16 @@ unset PYTHONDONTWRITEBYTECODE  # files are compiled when they are first imported
 .venv/bin/ruff format --check .
 .venv/bin/mypy &
 types=$!
-# Kernels that have changed are compiled once, of channels and of paths; otherwise both processes of pytest would do it.
+# Kernels that have changed are compiled once, of tracing and of fits; otherwise both processes of pytest would do it.
 rm -f .venv/kernels.h5
-.venv/bin/xfreqbench generate office --tx 1 --paths --quiet -o .venv/kernels.h5 &
-kernels=$!
+.venv/bin/xfreqbench generate office_cluttered --tx 1 --freqs 2.4,10 --paths --quiet -o .venv/kernels.h5 \
+    --interactions specular,refraction,diffraction,diffuse &
+tracing=$!
+.venv/bin/xfreqbench run --data scenes/office.h5 --methods xfreq-gs,virtual-source,wrf-gs-plus --targets 24.25 \
+    --budget 2steps --results .venv/kernels --quiet >/dev/null &
+fits=$!
 .venv/bin/lint-imports --no-cache
-wait "$kernels"
+wait "$tracing"
+wait "$fits"
 .venv/bin/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 40 --durations-min 1 "${chosen[@]}" "$@"
 wait "$types"
