@@ -20,7 +20,7 @@ rm -f .venv/kernels.h5
 .venv/bin/xfreqbench generate office_cluttered --tx 1 --freqs 2.4,10 --paths --quiet -o .venv/kernels.h5 \
     --interactions specular,refraction,diffraction,diffuse &
 tracing=$!
-.venv/bin/xfreqbench run --data scenes/office.h5 --methods xfreq-gs,virtual-source,wrf-gs-plus --targets 24.25 \
+.venv/bin/xfreqbench run --data scenes/office.h5 --methods xfreq-gs,wrf-gs-plus --targets 24.25 \
     --budget 2steps --results .venv/kernels --quiet >/dev/null &
 fits=$!
 .venv/bin/lint-imports --no-cache
