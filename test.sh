@@ -16,9 +16,7 @@ unset PYTHONDONTWRITEBYTECODE  # files are compiled when they are first imported
 .venv/bin/mypy &
 types=$!
 # Kernels that have changed are compiled once, of tracing and of fits; otherwise both processes of pytest would do it.
-rm -f .venv/kernels.h5
-.venv/bin/xfreqbench generate office_cluttered --tx 1 --freqs 2.4,10 --paths --quiet -o .venv/kernels.h5 \
-    --interactions specular,refraction,diffraction,diffuse &
+.ci/kernels &
 tracing=$!
 .venv/bin/xfreqbench run --data scenes/office.h5 --methods xfreq-gs,wrf-gs-plus --targets 24.25 \
     --budget 2steps --results .venv/kernels --quiet >/dev/null &

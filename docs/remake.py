@@ -61,13 +61,9 @@ def readme_table(boards: Sequence[Board]) -> str:
     shown = {"virtual-source", "xfreq-gs", "xfreq-gs-paper"}
     shown.add(next(row.job.method for row in here.rows if reduced_statement([row])))
     shown.add(next(row.job.method for row in here.rows if row.is_trivial))
-    scores = columns(there, ("average", "skill"))
-    elsewhere = {row.job.method: [column.cell(row) for column in scores] for row in there.rows}
-    body = []
-    for row in here.rows:
-        if row.job.method in shown:
-            rank, *others = (column.cell(row) for column in columns(here, ("rank", "average", "skill", "beam_loss")))
-            body.append([rank, row.job.method, *others, *elsewhere.get(row.job.method, [ABSENT] * len(scores))])
+    every = columns(here, ("rank", "method", "average", "skill", "beam_loss"))
+    every += [column.elsewhere(beside.scene, there.rows) for column in columns(there, ("average", "skill"))]
+    body = [[column.cell(row) for column in every] for row in here.rows if row.job.method in shown]
     here_heads = ["rank", "method", "median SSIM", "skill", "beam loss (dB)"]
     return table([*here_heads, "SSIM, open_office", "skill, open_office"], body)
 
@@ -75,8 +71,10 @@ def readme_table(boards: Sequence[Board]) -> str:
 def speed_table(benches: Sequence[BenchRecord]) -> str:
     """What the measurements say of generator, renderer, savings and stability, a line each, with their commands."""
 
+    by_title = {bench.title: bench for bench in benches}
+
     def row(title: str, *start: str) -> dict[str, str]:
-        bench = next(bench for bench in benches if bench.title == title)
+        bench = by_title[title]
         found = next(cells for cells in bench.rows if cells[: len(start)] == start)
         return dict(zip(bench.columns, found, strict=True)) | {"command": f"`{bench.command}`"}
 
@@ -89,7 +87,7 @@ def speed_table(benches: Sequence[BenchRecord]) -> str:
     paths, other = (row("Time of the solvers", "3", solver) for solver in ("image", "PathSolver"))
     saved = row("Savings, each off and on", "image: these three together")
     splat, fit = row("Splatting alone", "16000", "32"), row("Training steps of methods", "xfreq-gs")
-    stress = next(bench for bench in benches if bench.title == "Numerical stability")
+    stress = by_title["Numerical stability"]
     is_kept = [case[-1].startswith("ok") for case in stress.rows]
     body = [
         (

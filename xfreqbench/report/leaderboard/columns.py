@@ -62,9 +62,10 @@ class Column:
 
     def elsewhere(self, scene: str, rows: Sequence[BoardRow]) -> Column:
         """The column for rows of another board, of what rows of the same label have in this one's scene."""
-        cells = {row.short_label: self.cell(row) for row in rows}
-        title, unknown = f"{scene}: {self.title}", lambda row: UNKNOWN
-        return replace(self, title=title, words=lambda row: cells.get(row.short_label, ABSENT), bounds=unknown)
+        title, cells = f"{scene}: {self.title}", {row.short_label: self.cell(row) for row in rows}
+        return replace(
+            self, title=title, words=lambda row: cells.get(row.short_label, ABSENT), bounds=lambda row: UNKNOWN
+        )
 
     def _number(self, value: float) -> str:
         """A number, a dash where it is unknown, ∞ where it is infinite, as the PSNR of a perfect map is."""
